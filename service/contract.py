@@ -1,0 +1,181 @@
+"""What a prediction is about: planar poses, object contexts, Gaussians. Units and frames are settled here.
+
+SI units: metres, radians, kilograms. The **object frame** sits at the object's pose before the push: origin at the
+centre of the core, x axis through the middle of side 1, y axis through the middle of side 2, counter-clockwise
+positive. A **pusher pose** is the pusher tip's position in that frame and the direction in which it will move; the
+push itself is the benchmark's: straight, constant speed, 50 mm. A **prediction** is the object's pose after the push,
+in the same frame. Angles going in may be any real number and are wrapped to (-pi, pi]; angles coming out are in it.
+
+Standard library and numpy only.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import FieldFault, InvalidRequestError
+
+FloatArray = npt.NDArray[np.float32]
+IndexArray = npt.NDArray[np.int64]
+
+SIDES: Final = 4
+SHAPE_DIGITS: Final = "1234"  # concave, triangular, circular, rectangular
+WEIGHT_LETTERS: Final = "abcBC"  # none, 60 g, 150 g, and 60 g, 150 g in a triangle's second position
+SECOND_POSITION_LETTERS: Final = "BC"
+TRIANGULAR: Final = "2"
+BITS_PER_SIDE: Final = len(SHAPE_DIGITS) + len(WEIGHT_LETTERS)
+INDICATOR_LENGTH: Final = SIDES * BITS_PER_SIDE
+PUSH_LENGTH_M: Final = 0.050
+POSE_NAMES: Final = ("x", "y", "angle")
+
+
+class ContextKind(StrEnum):
+    """What a model wants to know about the object."""
+
+    NONE = "none"
+    INDICATOR = "indicator"
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The same direction in (-pi, pi]."""
+    if -math.pi < angle_rad <= math.pi:
+        return angle_rad
+    wrapped = math.remainder(angle_rad, 2.0 * math.pi)  # in [-pi, pi], exact
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A planar pose in the object frame: metres, metres, radians."""
+
+    x_m: float
+    y_m: float
+    angle_rad: float
+
+    @classmethod
+    def wrapped(cls, x_m: float, y_m: float, angle_rad: float) -> Self:
+        """The pose with its angle in (-pi, pi]."""
+        return cls(x_m, y_m, wrap_angle(angle_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class GaussianPose:
+    """An independent Gaussian over the object's pose after the push: metres, metres, radians; std is positive."""
+
+    mean: Pose
+    std: Pose
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side of an object: a shape digit and a weight letter."""
+
+    shape: str
+    weight: str
+
+    def bits(self) -> tuple[int, ...]:
+        """Shape one-hot, then weight one-hot: 4 + 5 values."""
+        return tuple(int(self.shape == digit) for digit in SHAPE_DIGITS) + tuple(
+            int(self.weight == letter) for letter in WEIGHT_LETTERS
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ObjectContext:
+    """An Omnipush object as its four sides, counter-clockwise from the object frame's x axis.
+
+    Two texts of the same thing: the **descriptor** (``1a2b3c4a``) and the **indicator** (36 zeros and ones). Round
+    trips hold: ``from_descriptor(c.descriptor()) == c`` and ``from_indicator(c.indicator()) == c``.
+    """
+
+    sides: tuple[Side, Side, Side, Side]
+
+    @classmethod
+    def from_descriptor(cls, descriptor: str, where: str = "descriptor") -> Self:
+        """Parse four times shape digit, weight letter.
+
+        Raises:
+            InvalidRequestError: names the side at fault and what it may be.
+        """
+        if len(descriptor) != 2 * SIDES:
+            accepted = "8 characters: four times a shape digit 1-4 and a weight letter a, b, c, B or C"
+            raise InvalidRequestError([FieldFault(where, f"{len(descriptor)} characters", accepted)])
+        return cls._from_sides([Side(*descriptor[2 * i : 2 * i + 2]) for i in range(SIDES)], where)
+
+    @classmethod
+    def from_indicator(cls, indicator: tuple[int, ...] | list[int], where: str = "indicator") -> Self:
+        """Parse 36 zeros and ones: for each side the shape one-hot (4), then the weight one-hot (5).
+
+        Raises:
+            InvalidRequestError: names the side that has not exactly one shape and one weight.
+        """
+        if len(indicator) != INDICATOR_LENGTH:
+            accepted = f"{INDICATOR_LENGTH} values: for each of {SIDES} sides, 4 for the shape and 5 for the weight"
+            raise InvalidRequestError([FieldFault(where, f"{len(indicator)} values", accepted)])
+        faults: list[FieldFault] = []
+        sides: list[Side] = []
+        for number in range(1, SIDES + 1):
+            bits = tuple(indicator[(number - 1) * BITS_PER_SIDE : number * BITS_PER_SIDE])
+            shapes = _names_of_ones(bits[: len(SHAPE_DIGITS)], SHAPE_DIGITS)
+            weights = _names_of_ones(bits[len(SHAPE_DIGITS) :], WEIGHT_LETTERS)
+            if any(bit not in (0, 1) for bit in bits):
+                faults.append(FieldFault(f"{where} side {number}", "a value other than 0 and 1", "0 or 1"))
+            elif len(shapes) != 1:
+                received = f"{len(shapes)} shapes" + (f" ({', '.join(shapes)})" if shapes else "")
+                faults.append(FieldFault(f"{where} side {number}", received, "exactly one shape of 1, 2, 3, 4"))
+            elif len(weights) != 1:
+                received = f"{len(weights)} weights" + (f" ({', '.join(weights)})" if weights else "")
+                faults.append(FieldFault(f"{where} side {number}", received, "exactly one weight of a, b, c, B, C"))
+            else:
+                sides.append(Side(shapes, weights))
+        if faults:
+            raise InvalidRequestError(faults)
+        return cls._from_sides(sides, where)
+
+    @classmethod
+    def _from_sides(cls, sides: list[Side], where: str) -> Self:
+        faults = [
+            FieldFault(f"{where} side {number}", *fault)
+            for number, side in enumerate(sides, start=1)
+            if (fault := _side_fault(side)) is not None
+        ]
+        if faults:
+            raise InvalidRequestError(faults)
+        first, second, third, fourth = sides
+        return cls((first, second, third, fourth))
+
+    def descriptor(self) -> str:
+        """The text form, 8 characters."""
+        return "".join(side.shape + side.weight for side in self.sides)
+
+    def indicator(self) -> FloatArray:
+        """The 36 zeros and ones that the networks take, float32 [36]."""
+        return np.array([bit for side in self.sides for bit in side.bits()], dtype=np.float32)
+
+    def turned(self, quarter_turns: int) -> Self:
+        """The object turned by that many times +90 degrees in a frame that stays: its side 1 becomes side 2.
+
+        Turning the object and the push alike turns the outcome alike: the symmetry that models are tested for.
+        """
+        shift = quarter_turns % SIDES
+        first, second, third, fourth = self.sides[-shift:] + self.sides[:-shift]
+        return type(self)((first, second, third, fourth))
+
+
+def _names_of_ones(bits: tuple[int, ...], names: str) -> str:
+    return "".join(name for bit, name in zip(bits, names, strict=True) if bit)
+
+
+def _side_fault(side: Side) -> tuple[str, str] | None:
+    """What was received and what is accepted, where a side cannot be one."""
+    if side.shape not in SHAPE_DIGITS:
+        return "an unknown shape", "1 concave, 2 triangular, 3 circular or 4 rectangular"
+    if side.weight not in WEIGHT_LETTERS:
+        return "an unknown weight", "a none, b 60 g, c 150 g, or B, C for the second position of a triangle"
+    if side.weight in SECOND_POSITION_LETTERS and side.shape != TRIANGULAR:
+        return f"weight {side.weight} on shape {side.shape}", "B and C only on shape 2 (triangular)"
+    return None

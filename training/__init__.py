@@ -1,0 +1,1 @@
+"""CAZSL training: pushes in, fitted networks and published ONNX models out."""

@@ -1,0 +1,30 @@
+"""The Siamese objective of the paper's section III: Gaussian likelihood plus the context regulariser."""
+
+import math
+
+import torch
+from torch import Tensor
+
+
+def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+    """Negative log likelihood averaged over all valid pushes and the 3 outputs.
+
+    ``mean``, ``log_std`` and ``target`` are (objects, pushes, 3), ``valid`` is (objects, pushes) of zeros and ones.
+    """
+    scaled = (target - mean) * torch.exp(-log_std)
+    per_output = 0.5 * scaled * scaled + log_std + 0.5 * math.log(2.0 * math.pi)
+    return (per_output * valid[..., None]).sum() / (valid.sum() * target.shape[-1])
+
+
+def l2_regulariser(mask: Tensor, context: Tensor, lambda_1: float, lambda_2: float) -> Tensor:
+    """``lambda_1 (|m(c) - m(c')| - lambda_2 |c - c'|)^2`` averaged over the Siamese pairs of a batch.
+
+    The batch is cut into two halves; object i of the first half is paired with object i of the second. Of an odd
+    batch the last object has no partner and is left out.
+    """
+    half = len(mask) // 2
+    if half == 0:
+        return mask.new_zeros(())
+    mask_distance = torch.linalg.vector_norm(mask[:half] - mask[half : 2 * half], dim=-1)
+    context_distance = torch.linalg.vector_norm(context[:half] - context[half : 2 * half], dim=-1)
+    return lambda_1 * ((mask_distance - lambda_2 * context_distance) ** 2).mean()
