@@ -6,14 +6,13 @@
 
 import hashlib
 import json
+import math
 import re
-from dataclasses import dataclass
-from typing import Annotated, Any, Final, Literal, Self
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Any, Final, Self, get_args, get_origin, get_type_hints
 
-import pydantic
-from pydantic import BaseModel, ConfigDict, Field
-
-from service.contract import ContextKind
+from service.contract import INDICATOR_LENGTH, ContextKind
 from service.errors import BrokenModelError, FieldFault, InvalidRequestError
 
 FORMAT: Final = 1
@@ -23,6 +22,8 @@ CARD_FILE: Final = "card.md"
 DEFAULT_ALIAS: Final = "champion"
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _VERSION = re.compile(r"[1-9][0-9]{0,8}")
+_LARGEST: Final = 2**63
+_SHA256 = re.compile(r"[0-9a-f]{64}")
 REFERENCE_SYNTAX: Final = "name, name@alias or name@version, of lower-case letters, digits, '-' and '_'"
 
 
@@ -66,15 +67,12 @@ class ModelReference:
         return f"{self.name}@{self.alias if self.version is None else self.version}"
 
 
-class _Document(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class FileDigest(_Document):
+@dataclass(frozen=True)
+class FileDigest:
     """Size and sha256 of one file of a version."""
 
-    size: Annotated[int, Field(ge=0)]
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+    size: int
+    sha256: str
 
     @classmethod
     def of(cls, content: bytes) -> Self:
@@ -82,25 +80,31 @@ class FileDigest(_Document):
         return cls(size=len(content), sha256=hashlib.sha256(content).hexdigest())
 
 
-class Tensor(_Document):
+@dataclass(frozen=True)
+class Tensor:
     """One input or output of the graph; a text in the shape is a free dimension."""
 
     name: str
-    dtype: Literal["float32", "int64"]
+    dtype: str
     shape: list[int | str]
     units: list[str]
 
 
-class SelfCheck(_Document):
-    """An input with the output it must give, within an absolute tolerance in SI units."""
+@dataclass(frozen=True)
+class SelfCheck:
+    """An input with the output it must give, within an absolute tolerance in SI units; rows are lists of numbers."""
 
-    inputs: dict[str, list[Any]]
-    outputs: dict[str, list[Any]]
-    tolerance: Annotated[float, Field(gt=0.0)]
+    pusher: list[list[float]]
+    context: list[list[float]]
+    context_index: list[int]
+    mean: list[list[float]]
+    std: list[list[float]]
+    tolerance: float
 
 
-class Normalisation(_Document):
-    """The statistics that are inside the graph, for the record: SI units."""
+@dataclass(frozen=True)
+class NormalisationRecord:
+    """The statistics that are inside the graph, for the record: SI units, three each."""
 
     input_mean: list[float]
     input_std: list[float]
@@ -108,7 +112,8 @@ class Normalisation(_Document):
     output_std: list[float]
 
 
-class DataRecord(_Document):
+@dataclass(frozen=True)
+class DataRecord:
     """What a model was trained and measured on."""
 
     source: str
@@ -120,8 +125,9 @@ class DataRecord(_Document):
     held_out_pushes: int
 
 
-class Measures(_Document):
-    """Held-out figures of one set-up; RMSE, STD and NLL in normalised units, sharpness in SI."""
+@dataclass(frozen=True)
+class Metrics:
+    """Held-out figures of one set-up, in normalised units unless the name says otherwise."""
 
     rmse: float
     std: float
@@ -129,36 +135,38 @@ class Measures(_Document):
     nll: float
 
 
-class Calibration(_Document):
-    """Share of held-out values inside the central intervals, and how wide the predicted Gaussians are."""
+@dataclass(frozen=True)
+class Calibration:
+    """Share of held-out values inside the central intervals; sharpness is the mean predicted std in m, m, rad."""
 
     method: str
     coverage_50: float
     coverage_90: float
     coverage_95: float
-    sharpness: Annotated[list[float], Field(description="mean predicted std: m, m, rad")]
+    sharpness: list[float]
 
 
-class Manifest(_Document):
+@dataclass(frozen=True)
+class Manifest:
     """Everything that is known of one version; ``name`` and ``version`` must be those of its folder."""
 
-    format: Literal[1] = FORMAT
     name: str
-    version: Annotated[int, Field(ge=1)]
-    created: str
+    version: int
+    created: str  # UTC, ISO 8601
     method: str
-    context_kind: ContextKind = Field(strict=False)
+    context_kind: ContextKind
     inputs: list[Tensor]
     outputs: list[Tensor]
-    normalisation: Normalisation
+    normalisation: NormalisationRecord
     image_convention: str | None
     recipe: dict[str, str | int | float | bool]
     data: DataRecord
     code_version: str
-    metrics: dict[str, Measures]
+    metrics: dict[str, Metrics]
     calibration: dict[str, Calibration]
     self_check: SelfCheck
     files: dict[str, FileDigest]
+    format: int = FORMAT
 
     @classmethod
     def parse(cls, content: bytes) -> Self:
@@ -168,33 +176,74 @@ class Manifest(_Document):
             BrokenModelError: it is not one, or of a format this version does not know; says which field.
         """
         try:
-            manifest = cls.model_validate_json(content)
-        except pydantic.ValidationError as error:
-            first = error.errors(include_url=False, include_input=False)[0]
-            where = ".".join(str(part) for part in first["loc"]) or "document"
-            raise BrokenModelError(f"{MANIFEST_FILE}: {where}: {first['msg']}") from error
-        if set(manifest.files) != {MODEL_FILE, CARD_FILE}:
-            raise BrokenModelError(f"{MANIFEST_FILE}: files: expected exactly {MODEL_FILE} and {CARD_FILE}")
-        if manifest.inputs != list(expected_inputs(manifest.context_kind)) or manifest.outputs != list(OUTPUTS):
-            raise BrokenModelError(f"{MANIFEST_FILE}: inputs, outputs: not the tensors of the contract")
+            document = json.loads(content, parse_constant=_refuse_constant)
+        except (ValueError, RecursionError) as error:
+            raise BrokenModelError(f"{MANIFEST_FILE}: not a JSON document in UTF-8") from error
+        if not isinstance(document, dict) or document.get("format") != FORMAT:
+            raise BrokenModelError(f"{MANIFEST_FILE}: format: this version reads format {FORMAT} only")
+        manifest: Self = _read(cls, document, "manifest")
+        manifest._check()
         return manifest
+
+    def _check(self) -> None:
+        """Hold what types cannot say."""
+        digests = self.files.values()
+        faults = (
+            (not is_name(self.name), "name: not a model name"),
+            (self.version < 1, "version: expected 1 or more"),
+            (set(self.files) != {MODEL_FILE, CARD_FILE}, f"files: expected exactly {MODEL_FILE} and {CARD_FILE}"),
+            (any(not _SHA256.fullmatch(d.sha256) or d.size < 0 for d in digests), "files: not a size and a sha256"),
+            (self.inputs != expected_inputs(self.context_kind), "inputs: not the tensors of this context kind"),
+            (self.outputs != OUTPUTS, "outputs: not the tensors of the contract"),
+            (not 0.0 < self.self_check.tolerance < math.inf, "self_check.tolerance: expected more than 0"),
+        )
+        for wrong, message in faults:
+            if wrong:
+                raise BrokenModelError(f"{MANIFEST_FILE}: {message}")
 
     def render(self) -> bytes:
         """The canonical text."""
-        document = self.model_dump(mode="json")
-        return (json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
+        text = json.dumps(asdict(self), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+        return (text + "\n").encode()
 
 
-POSE_UNITS: Final = ["m", "m", "rad"]
-PUSHER: Final = Tensor(name="pusher", dtype="float32", shape=["n", 3], units=POSE_UNITS)
-INDICATOR: Final = Tensor(name="context", dtype="float32", shape=["g", 36], units=["1"])
-CONTEXT_INDEX: Final = Tensor(name="context_index", dtype="int64", shape=["n"], units=["1"])
-OUTPUTS: Final = (
-    Tensor(name="mean", dtype="float32", shape=["n", 3], units=POSE_UNITS),
-    Tensor(name="std", dtype="float32", shape=["n", 3], units=POSE_UNITS),
-)
+_POSE_UNITS: Final = ["m", "m", "rad"]
+_PUSHER: Final = Tensor("pusher", "float32", ["n", 3], _POSE_UNITS)
+_INDICATOR: Final = Tensor("context", "float32", ["g", INDICATOR_LENGTH], ["1"])
+_CONTEXT_INDEX: Final = Tensor("context_index", "int64", ["n"], ["1"])
+OUTPUTS: Final = [Tensor(name, "float32", ["n", 3], _POSE_UNITS) for name in ("mean", "std")]
 
 
-def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
+def expected_inputs(kind: ContextKind) -> list[Tensor]:
     """The inputs that a graph of this context kind must have, in order."""
-    return (PUSHER,) if kind is ContextKind.NONE else (PUSHER, INDICATOR, CONTEXT_INDEX)
+    return [_PUSHER] if kind is ContextKind.NONE else [_PUSHER, _INDICATOR, _CONTEXT_INDEX]
+
+
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def _read(kind: Any, value: Any, where: str) -> Any:
+    """A JSON value as the annotated type: exact types, no field missing, none unknown, numbers finite."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if is_dataclass(kind) and isinstance(value, dict):
+        hints = get_type_hints(kind)
+        if odd := set(value) ^ {field.name for field in fields(kind)}:
+            raise BrokenModelError(f"{MANIFEST_FILE}: {where}: missing or unknown: {', '.join(sorted(odd)[:5])}")
+        parts = {name: _read(hints[name], part, f"{where}.{name}") for name, part in value.items()}
+        return kind(**parts)
+    if origin is list and isinstance(value, list):
+        return [_read(arguments[0], part, f"{where}[{place}]") for place, part in enumerate(value)]
+    if origin is dict and isinstance(value, dict):
+        return {name: _read(arguments[1], part, f"{where}.{name}") for name, part in value.items()}
+    if origin is UnionType and type(value) in arguments:
+        return value
+    if kind is ContextKind and value in list(ContextKind):
+        return ContextKind(value)
+    if kind is float and type(value) in (int, float) and -_LARGEST < value < _LARGEST:
+        return float(value)
+    if kind is int and type(value) is int and -_LARGEST < value < _LARGEST:
+        return value
+    if kind in (str, NoneType) and type(value) is kind:
+        return value
+    raise BrokenModelError(f"{MANIFEST_FILE}: {where}: expected {getattr(kind, '__name__', kind)}")

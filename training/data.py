@@ -142,7 +142,9 @@ def read_folder(folder: Path) -> Pushes:
     )
 
 
-def write_object(folder: Path, descriptor: str, pushers: npt.NDArray[np.float64], outcomes: npt.NDArray[np.float64]) -> None:
+def write_object(
+    folder: Path, descriptor: str, pushers: npt.NDArray[np.float64], outcomes: npt.NDArray[np.float64]
+) -> None:
     """Write one object's pushes; the outcome file comes last, so a pair is whole or not there."""
     _write_whole(folder / (descriptor + PUSHER_SUFFIX), _npy_bytes(pushers))
     _write_whole(folder / (descriptor + OUTCOME_SUFFIX), _npy_bytes(outcomes))
@@ -177,7 +179,9 @@ def _pairs(folder: Path) -> dict[str, tuple[Path, Path]]:
     for path in sorted(folder.glob("*" + PUSHER_SUFFIX)):
         match = _PUSHER_FILE.fullmatch(path.name)
         if match is None:
-            raise DataError(f"{path} does not begin with an 8-character descriptor such as 1a2b3c4a; rename or remove it")
+            raise DataError(
+                f"{path} does not begin with an 8-character descriptor such as 1a2b3c4a; rename or remove it"
+            )
         descriptor = match["descriptor"]
         try:
             ObjectContext.from_descriptor(descriptor)
@@ -224,7 +228,9 @@ def _source(folder: Path) -> str:
     try:
         return str(json.loads(path.read_text(encoding="utf-8"))["source"])
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} does not say where the pushes come from (key 'source'); restore or remove it") from error
+        raise DataError(
+            f"{path} does not say where the pushes come from (key 'source'); restore or remove it"
+        ) from error
 
 
 def _npy_bytes(array: npt.NDArray[np.float64]) -> bytes:

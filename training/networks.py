@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from service.contract import INDICATOR_LENGTH
+from service.contract import INDICATOR_LENGTH, ContextKind
 
 WIDTH: Final = 256
 POSE: Final = 3
@@ -27,9 +27,9 @@ class Method:
     regularised: bool
 
     @property
-    def uses_context(self) -> bool:
-        """Whether the network wants to know the object."""
-        return self.masked
+    def context_kind(self) -> ContextKind:
+        """What the network wants to know of the object."""
+        return ContextKind.INDICATOR if self.masked else ContextKind.NONE
 
 
 METHODS: Final = {

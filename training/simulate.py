@@ -130,7 +130,9 @@ def scene(body: Solid) -> mujoco.MjSpec:
     thing = spec.worldbody.add_body(name="object")
     thing.add_freejoint()
     for number, piece in enumerate(body.pieces):
-        bottom, top = (np.column_stack([piece, np.full(len(piece), z)]) for z in (FOOT_RADIUS_M, FOOT_RADIUS_M + HEIGHT_M))
+        bottom, top = (
+            np.column_stack([piece, np.full(len(piece), z)]) for z in (FOOT_RADIUS_M, FOOT_RADIUS_M + HEIGHT_M)
+        )
         spec.add_mesh(name=f"piece{number}", uservert=np.concatenate([bottom, top]).ravel())
         thing.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,

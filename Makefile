@@ -1,0 +1,58 @@
+# Everything a person or CI does, in one place. Each target says how long it takes on two cores in the README.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := service training tests benchmarks
+
+.PHONY: help serve data train test check format openapi clean
+.DEFAULT_GOAL := help
+
+help: ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+# A stamp per set of dependencies: installed again only when pyproject.toml changes.
+$(VENV)/serving: pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make PYTHON=python3.11 ...") if sys.version_info < (3, 11) else None'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+$(VENV)/training: $(VENV)/serving
+	$(BIN)/python -m pip install --quiet --editable '.[training]'
+	touch $@
+
+$(VENV)/dev: $(VENV)/training
+	$(BIN)/python -m pip install --quiet --editable '.[training,dev]'
+	touch $@
+
+serve: $(VENV)/serving ## serve models/ on 127.0.0.1:8000 (no torch needed)
+	$(BIN)/cazsl serve
+
+data: $(VENV)/training ## simulate the default dataset into data/simulated/abs
+	$(BIN)/cazsl-train simulate
+
+train: data ## train push-indicator and publish its next version
+	$(BIN)/cazsl-train fit push-indicator
+	$(BIN)/cazsl-train evaluate runs/push-indicator
+	$(BIN)/cazsl-train publish runs/push-indicator
+
+test: $(VENV)/dev ## run all tests
+	$(BIN)/pytest
+
+check: $(VENV)/dev ## format, lint, types, docstrings, import directions, OpenAPI drift, Dockerfile; changes nothing
+	$(BIN)/ruff format --check $(SOURCES)
+	$(BIN)/ruff check $(SOURCES)
+	$(BIN)/mypy
+	$(BIN)/interrogate --quiet service training tests
+	$(BIN)/pytest --quiet tests/test_layers.py tests/test_openapi.py
+	$(BIN)/hadolint Dockerfile
+
+format: $(VENV)/dev ## mend what check finds in format and imports
+	$(BIN)/ruff format $(SOURCES)
+	$(BIN)/ruff check --fix $(SOURCES)
+
+openapi: $(VENV)/dev ## renew openapi/openapi.json from the app
+	$(BIN)/pytest --quiet tests/test_openapi.py --renew-openapi
+
+clean: ## remove the virtual environment and caches; data, runs and models stay
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -1,0 +1,174 @@
+"""``cazsl``: serve predictions, look at the registry, predict one push."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+import pydantic
+import uvicorn
+
+import service
+from service.app import create_app
+from service.contract import ContextKind, ObjectContext, Pose
+from service.errors import CazslError
+from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, check_itself
+from service.manifest import DEFAULT_ALIAS, ModelReference
+from service.predictor import OnnxPredictor
+from service.registry import Registry, VerifiedVersion
+from service.schemas import PredictResponse
+from service.settings import Settings
+from service.telemetry import configure_logging
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.version_option(service.__version__, prog_name="cazsl")
+def main() -> None:
+    """Where does a pushed object end up, and how sure can we be?
+
+    \b
+    cazsl serve                                        start the HTTP service on 127.0.0.1:8000
+    cazsl predict 1a2b3c4a -- -0.075 0 0               one prediction, without a service
+    cazsl models list                                  what is published
+
+    Settings come from the environment (CAZSL_REGISTRY, CAZSL_PORT, ...); options win over them.
+    """
+
+
+registry_option = click.option(
+    "--registry",
+    type=click.Path(file_okay=False, path_type=Path),
+    envvar="CAZSL_REGISTRY",
+    default=Path("models"),
+    show_default=True,
+    help="The folder of models.",
+)
+
+
+@main.command()
+@click.option("--host", help="Address to listen on. [default: 127.0.0.1]")
+@click.option("--port", type=int, help="Port to listen on; 0 picks a free one. [default: 8000]")
+@click.option("--registry", type=click.Path(path_type=Path), help="The folder of models. [default: models]")
+def serve(**options: Any) -> None:
+    """Start the HTTP service; /docs shows and tries every route.
+
+    New versions and moved aliases are served without a restart. SIGTERM finishes running requests, then stops.
+    """
+    try:
+        settings = Settings(**{name: value for name, value in options.items() if value is not None})
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        name = "CAZSL_" + "_".join(str(part) for part in first["loc"]).upper()
+        raise click.ClickException(f"{name}: {first['msg']}") from error
+    configure_logging(settings.log_level)
+    models = LoadedModels(Registry(settings.registry), OnnxPredictor, settings.newest_versions)
+    uvicorn.run(
+        create_app(settings, models),
+        host=settings.host,
+        port=settings.port,
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        timeout_graceful_shutdown=settings.grace_s,
+    )
+
+
+@main.group()
+def models() -> None:
+    """Look at the registry."""
+
+
+def _mend(command: Callable[[], None]) -> None:
+    """Run a command; an error of ours becomes one line and exit status 1."""
+    try:
+        command()
+    except CazslError as error:
+        raise click.ClickException(str(error)) from error
+
+
+@models.command("list")
+@registry_option
+def list_models(registry: Path) -> None:
+    """Name, versions and aliases of every model."""
+
+    def run() -> None:
+        store = Registry(registry)
+        for name in store.names():
+            aliases = ", ".join(f"{alias} -> {version}" for alias, version in store.aliases(name).items()) or "no alias"
+            click.echo(f"{name}  versions {', '.join(map(str, store.versions(name))) or 'none'}  {aliases}")
+        if not store.names():
+            click.echo("no model is published; train and publish one with: make train")
+
+    _mend(run)
+
+
+@models.command("show")
+@click.argument("reference")
+@click.option("--json", "as_json", is_flag=True, help="The manifest instead of the card.")
+@registry_option
+def show(reference: str, as_json: bool, registry: Path) -> None:
+    """The card of a model: NAME, NAME@ALIAS or NAME@VERSION."""
+    _mend(lambda: _show(_verified(registry, reference), as_json))
+
+
+@models.command("verify")
+@click.argument("reference", required=False)
+@registry_option
+def verify(reference: str | None, registry: Path) -> None:
+    """Check digests, tensors and self-check of one version, or of all that are published; exit status 1 if any fails."""
+
+    def run() -> None:
+        store = Registry(registry)
+        references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
+        broken = 0
+        for each in references:
+            try:
+                found = _load(registry, each)
+                click.echo(f"{found.manifest.name}@{found.manifest.version}  ok")
+            except CazslError as error:
+                click.echo(f"{each}  BROKEN  {error}", err=True)
+                broken += 1
+        if broken:
+            sys.exit(1)
+
+    _mend(run)
+
+
+@main.command()
+@click.argument("descriptor", required=False)
+@click.argument("pose", nargs=3, type=float, metavar="X_M Y_M ANGLE_RAD")
+@click.option("--model", "reference", help="NAME, NAME@ALIAS or NAME@VERSION. [default: the champion for this context]")
+@registry_option
+def predict(descriptor: str | None, pose: tuple[float, float, float], reference: str | None, registry: Path) -> None:
+    """Predict one push, without a service; prints what POST /v1/predict would answer.
+
+    DESCRIPTOR is four sides, each a shape digit and a weight letter, such as 1a2b3c4a. The pusher's pose is in the
+    object's frame: put -- before it when a number is negative.
+    """
+
+    def run() -> None:
+        context = None if descriptor is None else ObjectContext.from_descriptor(descriptor)
+        kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
+        model = _load(registry, reference or f"{DEFAULT_MODELS[kind]}@{DEFAULT_ALIAS}")
+        answer = PredictResponse.of(model, model.predict_push(Pose.wrapped(*pose), context))
+        click.echo(answer.model_dump_json(indent=2))
+
+    _mend(run)
+
+
+def _verified(registry: Path, reference: str) -> VerifiedVersion:
+    store, parsed = Registry(registry), ModelReference.parse(reference, "reference")
+    return store.read(parsed.name, store.resolve(parsed))
+
+
+def _load(registry: Path, reference: str) -> LoadedModel:
+    verified = _verified(registry, reference)
+    predictor = OnnxPredictor(verified.model, verified.manifest.context_kind)
+    check_itself(verified.manifest, predictor)
+    return LoadedModel(verified.manifest, verified.card, predictor)
+
+
+def _show(version: VerifiedVersion, as_json: bool) -> None:
+    click.echo(json.dumps(json.loads(version.manifest.render()), indent=2) if as_json else version.card)

@@ -1,0 +1,211 @@
+"""Verified predictors in memory: load, self-check, swap, release, readiness.
+
+``refresh`` brings memory in line with the registry: every version that an alias names and the newest few of each model
+are loaded, each verified in the written order (format, sizes, digests, tensors, self-check) before anyone can reach
+it. What is served is one immutable snapshot, exchanged by assigning one reference: a request keeps the model that it
+started with. A new version that is broken changes nothing: its alias goes on meaning what it meant, and readiness
+says why. A registry that cannot be read changes nothing either.
+"""
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from service.contract import ContextKind, GaussianPose, ObjectContext, Pose
+from service.errors import (
+    BrokenModelError,
+    CazslError,
+    ContextKindError,
+    FieldFault,
+    ModelNotReadyError,
+    UnknownModelError,
+)
+from service.manifest import DEFAULT_ALIAS, Manifest, ModelReference
+from service.predictor import Predictor
+from service.registry import Registry
+
+PredictorFactory = Callable[[bytes, ContextKind], Predictor]
+DEFAULT_MODELS: Final[Mapping[ContextKind, str]] = {kind: f"push-{kind}" for kind in ContextKind}
+_FIRST_OBJECT: Final = np.zeros(1, dtype=np.int64)
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """One version that passed every check."""
+
+    manifest: Manifest
+    card: str
+    predictor: Predictor
+
+    def predict_push(self, pusher: Pose, context: ObjectContext | None) -> GaussianPose:
+        """Where the object ends up after one push, in the object frame.
+
+        Raises:
+            ContextKindError: the context is not of the kind that the model wants.
+            PredictionError: the runtime failed.
+        """
+        given = ContextKind.NONE if context is None else ContextKind.INDICATOR
+        if given is not self.manifest.context_kind:
+            accepted = f"a context of kind {self.manifest.context_kind} for {self.manifest.name}"
+            raise ContextKindError([FieldFault("body.context", f"kind {given}", accepted)])
+        poses = np.array([[pusher.x_m, pusher.y_m, pusher.angle_rad]], dtype=np.float32)
+        if context is None:
+            mean, std = self.predictor.predict(poses, None, None)
+        else:
+            mean, std = self.predictor.predict(poses, context.indicator()[None], _FIRST_OBJECT)
+        return GaussianPose(Pose.wrapped(*mean[0].tolist()), Pose(*std[0].tolist()))
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What is served at one instant."""
+
+    models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
+    aliases: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    problems: tuple[str, ...] = ("the registry was not read yet",)
+
+    def find(self, reference: ModelReference) -> LoadedModel:
+        """The model that a reference means in this snapshot.
+
+        Raises:
+            UnknownModelError: it is not served.
+            ModelNotReadyError: nothing at all is served yet.
+        """
+        version = reference.version
+        if reference.alias is not None:
+            version = self.aliases.get((reference.name, reference.alias))
+        model = None if version is None else self.models.get((reference.name, version))
+        if model is not None:
+            return model
+        if not self.models:
+            raise ModelNotReadyError(
+                f"no model is loaded: {self.problems[0] if self.problems else 'none is published'}"
+            )
+        served = ", ".join(f"{name}@{number}" for name, number in sorted(self.models)[:10])
+        raise UnknownModelError(f"model: received {reference}, which is not served; accepted is one of: {served}")
+
+    def find_default(self, kind: ContextKind) -> LoadedModel:
+        """The champion of the default model for this kind of context.
+
+        Raises:
+            UnknownModelError, ModelNotReadyError: as ``find``.
+        """
+        return self.find(ModelReference(DEFAULT_MODELS[kind], DEFAULT_ALIAS, None))
+
+    def versions(self, name: str) -> list[int]:
+        """The served versions of a model, oldest first.
+
+        Raises:
+            UnknownModelError: none is served.
+        """
+        numbers = sorted(number for model, number in self.models if model == name)
+        if not numbers:
+            raise UnknownModelError(f"name: received a model that is not served; accepted is one of: {self._names()}")
+        return numbers
+
+    def aliases_of(self, name: str) -> dict[str, int]:
+        """The aliases of a model and what they mean here."""
+        return {alias: version for (model, alias), version in self.aliases.items() if model == name}
+
+    def _names(self) -> str:
+        return ", ".join(sorted({name for name, _ in self.models})) or "none"
+
+
+class LoadedModels:
+    """Keeps a snapshot in line with a registry."""
+
+    def __init__(self, registry: Registry, load: PredictorFactory, newest_versions: int = 8) -> None:
+        self._registry = registry
+        self._load = load
+        self._newest_versions = newest_versions
+        self._snapshot = Snapshot()
+        self._seen: object = None
+        self._refreshing = threading.Lock()
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """What is served now; hold on to it for the length of a request."""
+        return self._snapshot
+
+    def refresh(self) -> None:
+        """Bring memory in line with the registry; never raises for what is found there."""
+        with self._refreshing:
+            try:
+                seen = self._registry.fingerprint()
+                if seen == self._seen and not self._snapshot.problems:
+                    return
+                snapshot = self._next_snapshot()
+                self._seen = seen
+            except CazslError as error:
+                snapshot = Snapshot(self._snapshot.models, self._snapshot.aliases, (str(error),))
+            self._announce(snapshot)
+            self._snapshot = snapshot
+
+    def _next_snapshot(self) -> Snapshot:
+        models: dict[tuple[str, int], LoadedModel] = {}
+        aliases: dict[tuple[str, str], int] = {}
+        problems: list[str] = []
+        for name in self._registry.names():
+            wanted = self._registry.aliases(name)
+            versions = set(self._registry.versions(name)[-self._newest_versions :]) | set(wanted.values())
+            for version in sorted(versions):
+                try:
+                    models[name, version] = self._snapshot.models.get((name, version)) or self._load_version(
+                        name, version
+                    )
+                except CazslError as error:
+                    problems.append(f"{name}@{version} is broken and not served: {error}")
+            for alias, version in wanted.items():
+                kept = self._snapshot.aliases.get((name, alias))
+                if (name, version) in models:
+                    aliases[name, alias] = version
+                elif kept is not None and (old := self._snapshot.models.get((name, kept))) is not None:
+                    models[name, kept] = old
+                    aliases[name, alias] = kept
+                    problems.append(f"{name}@{alias} should be {version}; {kept} goes on being served")
+        return Snapshot(models, aliases, tuple(problems) if models or problems else ("the registry holds no model",))
+
+    def _load_version(self, name: str, version: int) -> LoadedModel:
+        verified = self._registry.read(name, version)
+        predictor = self._load(verified.model, verified.manifest.context_kind)
+        check_itself(verified.manifest, predictor)
+        return LoadedModel(verified.manifest, verified.card, predictor)
+
+    def _announce(self, new: Snapshot) -> None:
+        """Log what changed, once."""
+        old = self._snapshot
+        for name, version in sorted(new.models.keys() - old.models.keys()):
+            logger.info("model loaded", extra={"model": name, "version": version})
+        for name, version in sorted(old.models.keys() - new.models.keys()):
+            logger.info("model released", extra={"model": name, "version": version})
+        for (name, alias), version in new.aliases.items():
+            if old.aliases.get((name, alias)) != version:
+                logger.info("alias serves", extra={"model": name, "alias": alias, "version": version})
+        if new.problems != old.problems:
+            for problem in new.problems:
+                logger.warning("registry problem", extra={"problem": problem})
+
+
+def check_itself(manifest: Manifest, predictor: Predictor) -> None:
+    """Run the stored input and compare with the stored output.
+
+    Raises:
+        BrokenModelError: it gives something else.
+    """
+    check = manifest.self_check
+    try:
+        pusher = np.array(check.pusher, dtype=np.float32)
+        context = np.array(check.context, dtype=np.float32)
+        index = np.array(check.context_index, dtype=np.int64)
+        found = np.stack(predictor.predict(pusher, context, index))
+        expected = np.array([check.mean, check.std], dtype=np.float32)
+    except (ValueError, CazslError) as error:
+        raise BrokenModelError("self-check: the stored input cannot be run") from error
+    if found.shape != expected.shape or not np.allclose(found, expected, rtol=0.0, atol=check.tolerance):
+        raise BrokenModelError(f"self-check: the output differs by more than {check.tolerance} from the stored one")

@@ -1,0 +1,79 @@
+"""The seam around the engine: arrays in, arrays out. The only module that imports onnxruntime."""
+
+from typing import Protocol
+
+import numpy as np
+import onnxruntime  # type: ignore[import-untyped]
+
+from service.contract import ContextKind, FloatArray, IndexArray
+from service.errors import BrokenModelError, PredictionError
+from service.manifest import OUTPUTS, Tensor, expected_inputs
+
+
+class Predictor(Protocol):
+    """A loaded model. SI units in and out, see the contract's ONNX interface."""
+
+    def predict(
+        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and std, both (n, 3), of pushes (n, 3) of the objects ``context[context_index]``.
+
+        ``context`` is (g, 36) and ``context_index`` (n,); both are None for models without context.
+
+        Raises:
+            PredictionError: the runtime failed, or gave what is no Gaussian.
+        """
+        ...
+
+
+class OnnxPredictor:
+    """A graph in onnxruntime, on one thread: the networks are small and requests come in parallel."""
+
+    def __init__(self, model: bytes, kind: ContextKind) -> None:
+        """Create a session from bytes that were verified.
+
+        Raises:
+            BrokenModelError: the runtime refuses the graph, or its tensors are not those of the contract.
+        """
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.inter_op_num_threads = 1
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        options.log_severity_level = 3
+        try:
+            self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        except Exception as error:  # onnxruntime's own errors share no root below this
+            raise BrokenModelError("model.onnx: onnxruntime refuses the graph") from error
+        _check_tensors("inputs", self._session.get_inputs(), expected_inputs(kind))
+        _check_tensors("outputs", self._session.get_outputs(), OUTPUTS)
+        self._kind = kind
+
+    def predict(
+        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """See ``Predictor.predict``."""
+        feed: dict[str, FloatArray | IndexArray | None] = {"pusher": pusher}
+        if self._kind is not ContextKind.NONE:
+            feed |= {"context": context, "context_index": context_index}
+        try:
+            mean, std = self._session.run(("mean", "std"), feed)
+        except Exception as error:  # see above
+            raise PredictionError("the runtime could not evaluate the model") from error
+        if not (np.isfinite(mean).all() and np.isfinite(std).all() and (std > 0.0).all()):
+            raise PredictionError("the model gave a mean or std that is not finite, or a std that is not positive")
+        return mean, std
+
+
+_TYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
+
+
+def _check_tensors(what: str, found: list[onnxruntime.NodeArg], expected: list[Tensor]) -> None:
+    """Names, types, rank and fixed dimensions, in order."""
+    given = [(tensor.name, tensor.type, [d if isinstance(d, int) else None for d in tensor.shape]) for tensor in found]
+    wanted = [
+        (tensor.name, _TYPES[tensor.dtype], [d if isinstance(d, int) else None for d in tensor.shape])
+        for tensor in expected
+    ]
+    if given != wanted:
+        names = ", ".join(f"{tensor.name} {tensor.dtype} {tensor.shape}" for tensor in expected)
+        raise BrokenModelError(f"model.onnx: the {what} are not those of the contract: {names}")

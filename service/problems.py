@@ -1,0 +1,134 @@
+"""Every failure as ``application/problem+json`` (RFC 9457), whatever raised it. Never a traceback, a path or the body."""
+
+import re
+from collections.abc import Mapping, Sequence
+from http import HTTPStatus
+from typing import Any, Final
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+from starlette.middleware.body_limit import RequestBodyLimitMiddleware
+from starlette.types import Receive, Scope, Send
+
+from service.errors import BodyTooLargeError, CazslError, FieldFault, InvalidRequestError
+from service.schemas import FaultBody, ProblemBody
+from service.telemetry import request_id_of
+
+MEDIA_TYPE: Final = "application/problem+json"
+MAX_FAULTS: Final = 10
+_SAFE_NAME = re.compile(r"[A-Za-z0-9_]{1,32}")
+_HTTP_CODES: Final = {
+    404: ("no_such_route", "There is no such route"),
+    405: ("method_not_allowed", "The route does not take this method"),
+}
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Answer every failure of the app as a problem."""
+
+    async def on_error(request: Request, error: Exception) -> Response:
+        assert isinstance(error, CazslError)
+        return problem_response(request.scope, error)
+
+    async def on_validation(request: Request, error: Exception) -> Response:
+        assert isinstance(error, RequestValidationError)
+        faults = [_fault(found) for found in error.errors()[:MAX_FAULTS]]
+        return problem_response(request.scope, InvalidRequestError(faults))
+
+    async def on_http(request: Request, error: Exception) -> Response:
+        assert isinstance(error, HTTPException)
+        if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
+            return problem_response(request.scope, BodyTooLargeError(request.app.state.settings.max_body_bytes))
+        phrase = HTTPStatus(error.status_code).phrase
+        code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
+        detail = "see /docs for the routes and their methods"
+        return _render(request.scope, error.status_code, code, title, detail, (), error.headers)
+
+    app.add_exception_handler(CazslError, on_error)
+    app.add_exception_handler(RequestValidationError, on_validation)
+    app.add_exception_handler(HTTPException, on_http)
+
+
+def problem_response(scope: Scope, error: CazslError) -> Response:
+    """The answer for an error of our tree; what went wrong inside is told to the log, not to the client."""
+    faults = error.faults[:MAX_FAULTS] if isinstance(error, InvalidRequestError) else ()
+    headers = {"Retry-After": "1"} if error.status == HTTPStatus.SERVICE_UNAVAILABLE else None
+    return _render(scope, error.status, error.code, error.title, str(error), faults, headers)
+
+
+def _render(
+    scope: Scope,
+    status: int,
+    code: str,
+    title: str,
+    detail: str,
+    faults: Sequence[FieldFault],
+    headers: Mapping[str, str] | None,
+) -> Response:
+    body = ProblemBody(
+        type=f"urn:cazsl:problem:{code}",
+        title=title,
+        status=int(status),
+        code=code,
+        detail=detail,
+        errors=[FaultBody(where=fault.where, received=fault.received, accepted=fault.accepted) for fault in faults],
+        request_id=request_id_of(scope),
+    )
+    return Response(body.model_dump_json(), int(status), headers, media_type=MEDIA_TYPE)
+
+
+def _fault(found: Mapping[str, Any]) -> FieldFault:
+    """A pydantic error without the value that it carries."""
+    path = [str(part) for part in found["loc"]]
+    kind, message = found["type"], str(found["msg"])
+    if kind == "extra_forbidden":
+        name = path.pop()
+        received = f"the field {name}" if _SAFE_NAME.fullmatch(name) else "a field with an unusual name"
+        return FieldFault(".".join(path), received, "the fields of the schema only, see /docs")
+    accepted = message.removeprefix("Input should be ")
+    if kind == "missing":
+        return FieldFault(".".join(path), "nothing", "a value, it is required")
+    context = found.get("ctx") or {}
+    if kind in ("too_short", "too_long") and "actual_length" in context:
+        wanted = context.get("min_length", context.get("max_length"))
+        return FieldFault(".".join(path), f"{context['actual_length']} values", f"{wanted} values")
+    return FieldFault(".".join(path), _in_words(found.get("input")), accepted)
+
+
+def _in_words(value: Any) -> str:
+    """What kind of thing came: a number as it is, anything else by its kind and length."""
+    match value:
+        case None:
+            return "null"
+        case bool():
+            return "true or false"
+        case int() | float() if abs(value) < 1e15:
+            return f"{value!r}"
+        case int() | float():
+            return "a number that is not finite or too large"
+        case str():
+            return f"a text of {len(value)} characters"
+        case list():
+            return f"a list of {len(value)} values"
+        case _:
+            return "an object"
+
+
+class BodyLimit(RequestBodyLimitMiddleware):
+    """Starlette's limit on the bytes of a body, declared or chunked, answering as a problem from the first byte on."""
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Refuse a declared length over the limit at once; count what arrives otherwise."""
+        if scope["type"] == "http" and _declared_length(scope) > self.max_body_size:
+            await problem_response(scope, BodyTooLargeError(self.max_body_size))(scope, receive, send)
+            return
+        await super().__call__(scope, receive, send)
+
+
+def _declared_length(scope: Scope) -> int:
+    for name, value in scope["headers"]:
+        if name == b"content-length" and value.isdigit():
+            return int(value[:18])
+    return 0

@@ -1,0 +1,166 @@
+"""The /v1 endpoints and the health routes: parse, call one function, render."""
+
+from collections.abc import Callable, Coroutine
+from typing import Annotated, Any
+
+import pydantic_core
+from fastapi import APIRouter, Path, Request, Response
+from fastapi.routing import APIRoute
+
+from service.contract import ContextKind
+from service.errors import MalformedBodyError, UnsupportedMediaTypeError
+from service.loaded_models import LoadedModel, Snapshot
+from service.manifest import ModelReference
+from service.schemas import (
+    LiveBody,
+    ModelBody,
+    ModelsBody,
+    ModelVersionDetailBody,
+    PredictRequest,
+    PredictResponse,
+    ProblemBody,
+    ReadyBody,
+)
+
+Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
+Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
+
+
+def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """How the OpenAPI document describes failures."""
+    schema = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemBody"}}}
+    return {
+        status: {"description": "a problem, see its code", "model": ProblemBody, "content": schema}
+        for status in statuses
+    }
+
+
+class StrictJsonRequest(Request):
+    """A request whose body is read by a strict JSON parser: UTF-8 only, no lone surrogate, bounded nesting.
+
+    It lets NaN and infinities through: the fields refuse them, and can say where they are.
+    """
+
+    async def json(self) -> Any:
+        """The document.
+
+        Raises:
+            MalformedBodyError: it is none.
+        """
+        if not hasattr(self, "_json"):
+            try:
+                self._json = pydantic_core.from_json(await self.body())
+            except ValueError as error:
+                raise MalformedBodyError(f"body: received no JSON ({error}); accepted is JSON in UTF-8") from error
+        return self._json
+
+
+class StrictJsonRoute(APIRoute):
+    """A route that takes JSON bodies declared as such, and reads them strictly."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Wrap the route's own handler."""
+        handler = super().get_route_handler()
+        takes_body = self.body_field is not None
+
+        async def strict(request: Request) -> Response:
+            if not takes_body:
+                return await handler(request)
+            if not _is_json(request.headers.get("content-type", "")):
+                accepted = "header Content-Type: received something else or nothing; accepted is application/json"
+                raise UnsupportedMediaTypeError(accepted)
+            strict_request = StrictJsonRequest(request.scope, request.receive)
+            await strict_request.json()  # here, since the handler would hide our error behind one of its own
+            return await handler(strict_request)
+
+        return strict
+
+
+router = APIRouter(route_class=StrictJsonRoute)
+
+
+@router.post(
+    "/v1/predict",
+    tags=["predict"],
+    summary="Where does this object end up after this push, and how sure is that?",
+    responses=_problems(400, 404, 413, 415, 422, 503),
+)
+async def predict(request: Request, body: PredictRequest) -> PredictResponse:
+    """Predict one push. Runs in the event loop on purpose: it takes less time than handing it to a thread."""
+    context = None if body.context is None else body.context.to_contract()
+    reference = body.reference()
+    models = snapshot_of(request)
+    kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
+    model = models.find_default(kind) if reference is None else models.find(reference)
+    request.state.log = {"model": model.manifest.name, "version": model.manifest.version}
+    return PredictResponse.of(model, model.predict_push(body.push(), context))
+
+
+@router.get("/v1/models", tags=["models"], summary="What is served")
+async def list_models(request: Request) -> ModelsBody:
+    """Every model that is served, with its versions and aliases."""
+    models = snapshot_of(request)
+    names = sorted({name for name, _ in models.models})
+    return ModelsBody(models=[_model_body(models, name) for name in names])
+
+
+@router.get("/v1/models/{name}", tags=["models"], summary="One model", responses=_problems(404, 422))
+async def show_model(request: Request, name: Name) -> ModelBody:
+    """One model, with its versions and aliases."""
+    return _model_body(snapshot_of(request), name)
+
+
+@router.get(
+    "/v1/models/{name}/versions/{version}", tags=["models"], summary="One version", responses=_problems(404, 422, 503)
+)
+async def show_version(request: Request, name: Name, version: Version) -> ModelVersionDetailBody:
+    """One version with its manifest (data, metrics, tensors with units, digests) and its card."""
+    models = snapshot_of(request)
+    model = models.find(ModelReference(name, None, version))
+    aliases = [alias for alias, target in models.aliases_of(name).items() if target == version]
+    manifest = pydantic_core.from_json(model.manifest.render())
+    return ModelVersionDetailBody(name=name, version=version, aliases=aliases, manifest=manifest, card=model.card)
+
+
+@router.get("/livez", tags=["health"], summary="Does the process answer?")
+async def live() -> LiveBody:
+    """Always true: who can read it knows."""
+    return LiveBody()
+
+
+@router.get(
+    "/readyz",
+    tags=["health"],
+    summary="Can predictions be answered?",
+    responses={503: {"description": "no model is served", "model": ReadyBody}},
+)
+async def ready(request: Request, response: Response) -> ReadyBody:
+    """Ready once a model passed all its checks; a broken newcomer is named here and does not end it."""
+    models = snapshot_of(request)
+    response.status_code = 200 if models.models else 503
+    names = sorted({name for name, _ in models.models})
+    served = {name: models.versions(name) for name in names}
+    return ReadyBody(ready=bool(models.models), models=served, problems=list(models.problems))
+
+
+def snapshot_of(request: Request) -> Snapshot:
+    """What is served at this instant; a request uses one snapshot from beginning to end."""
+    snapshot: Snapshot = request.app.state.models.snapshot
+    return snapshot
+
+
+def _model_body(models: Snapshot, name: str) -> ModelBody:
+    versions = models.versions(name)
+    newest: LoadedModel = models.models[name, versions[-1]]
+    return ModelBody(
+        name=name,
+        method=newest.manifest.method,
+        context_kind=newest.manifest.context_kind,
+        versions=versions,
+        aliases=models.aliases_of(name),
+    )
+
+
+def _is_json(content_type: str) -> bool:
+    media_type = content_type.partition(";")[0].strip().lower()
+    return media_type == "application/json" or (media_type.startswith("application/") and media_type.endswith("+json"))

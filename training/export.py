@@ -1,0 +1,272 @@
+"""Torch to ONNX, parity checked, published: the trainer's last step and the only one that touches the registry.
+
+The graph takes and gives SI units, so the published normalisation is inside it; contexts are encoded once per object
+and gathered per push. Before anything is published, onnxruntime must agree with torch on random and on extreme inputs.
+"""
+
+import logging
+import math
+import warnings
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Final
+
+import numpy as np
+import onnx
+import torch
+from torch import Tensor, nn
+
+import service
+from service.contract import POSE_NAMES, ContextKind, FloatArray, IndexArray
+from service.errors import PublishError
+from service.manifest import (
+    Calibration,
+    DataRecord,
+    Manifest,
+    Metrics,
+    NormalisationRecord,
+    SelfCheck,
+    expected_inputs,
+    OUTPUTS,
+)
+from service.predictor import OnnxPredictor
+from service.registry import Registry
+from training.data import Pushes, published_normalisation
+from training.evaluate import Evaluation, NormalisedPushes, evaluate
+from training.networks import PushNetwork
+from training.recipes import Recipe
+
+OPSET: Final = 18
+# Torch and onnxruntime sum in another order: float32 leaves a few units in the sixth digit. One tolerance for both
+# outputs, absolute in SI units and relative beside it for inputs far outside of anything trained on.
+PARITY_TOLERANCE: Final = 1e-5
+PARITY_RELATIVE: Final = 1e-4
+SELF_CHECK_TOLERANCE: Final = 1e-4  # across processors and runtime versions: a tenth of a millimetre
+
+
+class ServedNetwork(nn.Module):
+    """A fitted network with SI units in and out, as the contract's ONNX interface has it."""
+
+    def __init__(self, network: PushNetwork) -> None:
+        super().__init__()
+        self.network = network
+        known = published_normalisation()
+        for name, value in vars(known).items():
+            self.register_buffer(name, torch.tensor(value, dtype=torch.float32))
+
+    def forward(
+        self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Mean and std (n, 3) of pushes (n, 3) of the objects ``context[context_index]``."""
+        mask = None
+        if context is not None and context_index is not None:
+            mask = self.network.mask(context)  # (g, 256): once per object
+            mask = None if mask is None else mask[context_index]  # (n, 256)
+        mean, log_std = self.network.gaussian((wrap_last(pusher) - self.input_mean) / self.input_std, mask)
+        return wrap_last(mean * self.output_std + self.output_mean), torch.exp(log_std) * self.output_std
+
+
+def wrap_last(pose: Tensor) -> Tensor:
+    """Poses (n, 3) with their angle in (-pi, pi]."""
+    position, angle = pose.split([2, 1], dim=-1)
+    return torch.cat([position, angle - 2.0 * math.pi * torch.ceil((angle - math.pi) / (2.0 * math.pi))], dim=-1)
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Inputs of a graph."""
+
+    pusher: FloatArray  # (n, 3)
+    context: FloatArray  # (g, 36)
+    context_index: IndexArray  # (n,)
+
+
+def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
+    """The network as an ONNX graph in one file, without a trace of the machine that made it."""
+    served = ServedNetwork(network).eval()
+    example = probe_batch(pushes=3, objects=2)
+    arguments = tuple(torch.from_numpy(array) for array in feed(example, kind))
+    names = [tensor.name for tensor in expected_inputs(kind)]
+    pushes, objects = torch.export.Dim("n"), torch.export.Dim("g")
+    free = {"pusher": {0: pushes}, "context": {0: objects}, "context_index": {0: pushes}}
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of operators that are not installed or used
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what torch deprecates in itself; parity is checked below
+        program = torch.onnx.export(
+            served,
+            arguments,
+            input_names=names,
+            output_names=[tensor.name for tensor in OUTPUTS],
+            dynamic_shapes={name: free[name] for name in names},
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+        )
+    if program is None:
+        raise PublishError("torch gave no ONNX program")
+    model = program.model_proto
+    strip_origin(model)
+    onnx.checker.check_model(model, full_check=True)
+    return bytes(model.SerializeToString(deterministic=True))
+
+
+def strip_origin(model: onnx.ModelProto) -> None:
+    """Remove source lines and paths of the exporting machine that torch writes into the graph."""
+    del model.metadata_props[:]
+    model.doc_string = ""
+    model.graph.doc_string = ""
+    for part in (model.graph, *model.graph.node, *model.graph.value_info, *model.graph.input, *model.graph.output):
+        del part.metadata_props[:]
+        part.doc_string = ""
+    for tensor in model.graph.initializer:
+        del tensor.metadata_props[:]
+        tensor.doc_string = ""
+
+
+def probe_batch(pushes: int, objects: int, seed: int = 0) -> Batch:
+    """Plausible pushes of random objects, the same for the same seed."""
+    rng = np.random.default_rng(seed)
+    side = np.concatenate(
+        [np.eye(4)[rng.integers(4, size=(objects, 4))], np.eye(5)[rng.integers(3, size=(objects, 4))]], -1
+    )
+    bearing = rng.uniform(-math.pi, math.pi, pushes)
+    start = 0.08 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    angle = bearing + math.pi + rng.uniform(-0.3, 0.3, pushes)
+    pusher = np.column_stack([start, np.arctan2(np.sin(angle), np.cos(angle))]).astype(np.float32)
+    return Batch(pusher, side.reshape(objects, 36).astype(np.float32), rng.integers(objects, size=pushes))
+
+
+def extreme_batch() -> Batch:
+    """Inputs at and beyond every border: angles at pi and many turns away, far positions, empty and full contexts."""
+    values = (-1e3, -1.0, -math.pi, -0.0, 1e-30, math.pi, 1.0, 1e3)
+    pusher = np.array([(x, y, angle) for x in values for y in values for angle in values], dtype=np.float32)
+    context = np.stack([np.zeros(36), np.ones(36), *probe_batch(1, 6, seed=1).context]).astype(np.float32)
+    return Batch(pusher, context, np.arange(len(pusher)) % len(context))
+
+
+def feed(batch: Batch, kind: ContextKind) -> tuple[FloatArray | IndexArray, ...]:
+    """The arrays that a graph of this kind takes, in order."""
+    return (batch.pusher,) if kind is ContextKind.NONE else (batch.pusher, batch.context, batch.context_index)
+
+
+def check_parity(network: PushNetwork, model: bytes, kind: ContextKind) -> float:
+    """The largest difference between torch and onnxruntime, in SI units.
+
+    Raises:
+        PublishError: it is over the tolerance.
+    """
+    predictor, served = OnnxPredictor(model, kind), ServedNetwork(network).eval()
+    worst = 0.0
+    for batch in (probe_batch(1000, 37, seed=2), probe_batch(1, 1, seed=3), extreme_batch()):
+        found = np.stack(predictor.predict(batch.pusher, batch.context, batch.context_index))
+        with torch.inference_mode():
+            tensors = served(*(torch.from_numpy(array) for array in feed(batch, kind)))
+        expected = np.stack([tensor.numpy() for tensor in tensors])
+        difference = np.abs(found - expected)
+        difference[0, :, 2] = np.minimum(difference[0, :, 2], 2.0 * math.pi - difference[0, :, 2])  # pi is -pi
+        if (difference > PARITY_TOLERANCE + PARITY_RELATIVE * np.abs(expected)).any():
+            raise PublishError(f"onnxruntime differs from torch by {difference.max():.2e}; nothing was published")
+        if batch.context.shape[0] in (1, 37):
+            worst = max(worst, float(difference.max()))
+    return worst
+
+
+def publish(recipe: Recipe, network: PushNetwork, pushes: Pushes, registry: Registry) -> Manifest:
+    """Measure, export, check and publish a fitted network as the next version of the recipe's model.
+
+    Raises:
+        PublishError: the graph disagrees with torch, or the disk refused; nothing became visible.
+        DataError: the data lack objects of the split.
+    """
+    kind = recipe.network().context_kind
+    split = recipe.split()
+    train, held_out = pushes.select(split.train), pushes.select(split.test)
+    found = evaluate(network, NormalisedPushes.of(held_out, torch.device("cpu")))
+    model = export_onnx(network, kind)
+    parity = check_parity(network, model, kind)
+    draft = Manifest(
+        name=recipe.name,
+        version=1,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        method=recipe.method,
+        context_kind=kind,
+        inputs=expected_inputs(kind),
+        outputs=OUTPUTS,
+        normalisation=NormalisationRecord(
+            **{name: list(value) for name, value in vars(published_normalisation()).items()}
+        ),
+        image_convention=None,
+        recipe=recipe.record(),
+        data=DataRecord(
+            source=pushes.source,
+            sha256=pushes.digest,
+            split=split.name,
+            train_objects=len(train.descriptors),
+            train_pushes=train.count,
+            held_out_objects=len(held_out.descriptors),
+            held_out_pushes=held_out.count,
+        ),
+        code_version=service.__version__,
+        metrics={split.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
+        calibration={split.name: _calibration(found)},
+        self_check=_self_check(model, kind),
+        files={},
+    )
+    return registry.publish(draft, model, render_card(draft, found, train, parity))
+
+
+def render_card(draft: Manifest, found: Evaluation, train: Pushes, parity: float) -> str:
+    """The model card: what it is, on what it was trained, how good it is, what not to expect of it."""
+    data, recipe = draft.data, draft.recipe
+    sharpness = dict(zip(POSE_NAMES, found.sharpness, strict=True))
+    x_m, y_m, angle_rad = train.pushers[train.valid > 0].T
+    nearest, furthest = 1000 * np.quantile(np.hypot(x_m, y_m), (0.0, 1.0))  # mm
+    off_centre = 1000 * np.abs(x_m * np.sin(angle_rad) - y_m * np.cos(angle_rad)).max()  # mm
+    return f"""# {draft.name}
+
+Predicts where an object ends up after a straight push of 50 mm, as a Gaussian over its planar pose (m, m, rad) in the
+object's frame before the push. Method: **{draft.method}**, context: **{draft.context_kind}** (CAZSL).
+
+## Data
+
+Trained on **{data.source}**: {data.train_objects} objects, {data.train_pushes} pushes, split `{data.split}`;
+sha256 of the files `{data.sha256}`. Where the source says simulated, no real push was ever seen: do not expect these
+figures on a real table.
+
+## Training
+
+{", ".join(f"{key} {value}" for key, value in recipe.items())}. Parameters of the last epoch.
+
+## Held-out objects
+
+{data.held_out_objects} objects that the training never saw, {data.held_out_pushes} pushes:
+
+| RMSE | STD | Dist. (mm) | NLL | 50 % coverage | 90 % coverage | 95 % coverage |
+|---|---|---|---|---|---|---|
+| {found.rmse:.4f} | {found.std:.4f} | {found.distance_mm:.2f} | {found.nll:.3f} | {
+        " | ".join(f"{100 * share:.1f} %" for share in found.coverage.values())
+    } |
+
+RMSE, STD and NLL are in units of the published standard deviations; NLL is per push, summed over the 3 outputs; coverage
+is the share of true values inside the central interval. Mean predicted std: x {1000 * sharpness["x"]:.2f} mm,
+y {1000 * sharpness["y"]:.2f} mm, angle {sharpness["angle"]:.4f} rad.
+
+## Limits
+
+- The std is the network's own, not calibrated afterwards. Where coverage is below its level, the model is too sure.
+- It saw pushes that start {nearest:.0f} to {furthest:.0f} mm from the object's centre and pass it within {
+        off_centre:.0f} mm; elsewhere it guesses.
+- The graph agrees with torch within {parity:.1e} (SI units, random pushes).
+"""
+
+
+def _calibration(found: Evaluation) -> Calibration:
+    return Calibration("none", *found.coverage.values(), sharpness=list(found.sharpness))
+
+
+def _self_check(model: bytes, kind: ContextKind) -> SelfCheck:
+    """A small batch with the answers of the graph itself, for every later load."""
+    batch = probe_batch(pushes=4, objects=2, seed=4)
+    mean, std = OnnxPredictor(model, kind).predict(batch.pusher, batch.context, batch.context_index)
+    lists = (array.tolist() for array in (batch.pusher, batch.context, batch.context_index, mean, std))
+    return SelfCheck(*lists, tolerance=SELF_CHECK_TOLERANCE)

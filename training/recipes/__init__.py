@@ -1,0 +1,99 @@
+"""Recipes: one small file per model, everything that its training depends on besides the data."""
+
+import tomllib
+from dataclasses import asdict, dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from service.errors import DataError
+from training.data import Split, different_objects
+from training.networks import METHODS, Method
+
+SET_UPS = {"different-objects": different_objects}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One training run, whole."""
+
+    name: str  # of the model in the registry
+    method: str  # a row of the paper's tables
+    set_up: str
+    epochs: int
+    batch_objects: int  # objects per mini-batch, each with all its pushes
+    learning_rate: float
+    lambda_1: float
+    lambda_2: float
+    seed: int
+
+    def network(self) -> Method:
+        """The method that the recipe names."""
+        return METHODS[self.method]
+
+    def split(self) -> Split:
+        """The objects to train on and to hold out."""
+        return SET_UPS[self.set_up]()
+
+    def record(self) -> dict[str, str | int | float | bool]:
+        """The recipe as a flat document."""
+        return asdict(self)
+
+
+def read_recipe(name_or_path: str) -> Recipe:
+    """A recipe that ships with the trainer, by name, or any file, by path.
+
+    Raises:
+        DataError: there is none, or a field is missing, unknown or impossible.
+    """
+    path = Path(name_or_path)
+    shipped = resources.files("training.recipes").joinpath(f"{path.name}.toml")
+    if path.suffix == ".toml" and path.is_file():
+        text = path.read_text(encoding="utf-8")
+    elif path.name == name_or_path and shipped.is_file():
+        text = shipped.read_text(encoding="utf-8")
+    else:
+        raise DataError(f"there is no recipe {name_or_path}; give one of {', '.join(recipe_names())} or a .toml file")
+    return parse_recipe(text, name_or_path)
+
+
+def parse_recipe(text: str, where: str) -> Recipe:
+    """Read a recipe's text.
+
+    Raises:
+        DataError: names the field at fault.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{where}: not TOML: {error}") from error
+    return parse_recipe_record(values, where)
+
+
+def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
+    """Read a recipe from a flat document, as a recipe file or a run's record holds it.
+
+    Raises:
+        DataError: names the field at fault.
+    """
+    wanted = {field.name: field.type for field in fields(Recipe)}
+    if set(values) != set(wanted):
+        odd = ", ".join(sorted(set(values) ^ set(wanted)))
+        raise DataError(f"{where}: missing or unknown: {odd}; a recipe has {', '.join(wanted)}")
+    for key, kind in wanted.items():
+        if type(values[key]) is not kind:
+            raise DataError(f"{where}: {key} is {values[key]!r}; expected {getattr(kind, '__name__', kind)}")
+    if values["method"] not in METHODS:
+        raise DataError(f"{where}: method is {values['method']!r}; expected one of {', '.join(METHODS)}")
+    if values["set_up"] not in SET_UPS:
+        raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(SET_UPS)}")
+    for key in ("epochs", "batch_objects", "learning_rate"):
+        if values[key] <= 0:
+            raise DataError(f"{where}: {key} is {values[key]}; expected more than 0")
+    return Recipe(**values)
+
+
+def recipe_names() -> list[str]:
+    """The recipes that ship with the trainer."""
+    files = resources.files("training.recipes").iterdir()
+    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))
