@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import logging
 from collections.abc import AsyncIterator
+from typing import Any
 
 from fastapi import FastAPI
 from starlette.types import Receive, Scope, Send
@@ -11,7 +12,7 @@ from starlette.types import Receive, Scope, Send
 import service
 from service.errors import CazslError
 from service.loaded_models import LoadedModels
-from service.problems import BodyLimit, install_problem_handlers, problem_response
+from service.problems import BodyLimit, install_problem_handlers, problem_response, state_media_type
 from service.routes import router
 from service.settings import Settings
 from service.telemetry import RequestTelemetry
@@ -27,6 +28,14 @@ through the middle of side 1, y axis through the middle of side 2, counter-clock
 """
 
 
+class Service(FastAPI):
+    """The application; its OpenAPI document tells the truth about failures."""
+
+    def openapi(self) -> dict[str, Any]:
+        """The document, made once."""
+        return state_media_type(super().openapi())
+
+
 def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
     """The service over these models."""
 
@@ -39,7 +48,7 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
         with contextlib.suppress(asyncio.CancelledError):
             await poll
 
-    app = FastAPI(title="CAZSL", version=service.__version__, description=DESCRIPTION, lifespan=lifespan)
+    app = Service(title="CAZSL", version=service.__version__, description=DESCRIPTION, lifespan=lifespan)
     app.state.settings = settings
     app.state.models = models
     app.include_router(router)

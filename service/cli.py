@@ -1,10 +1,11 @@
 """``cazsl``: serve predictions, look at the registry, predict one push."""
 
+import functools
 import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import click
 import pydantic
@@ -12,15 +13,16 @@ import uvicorn
 
 import service
 from service.app import create_app
-from service.contract import ContextKind, ObjectContext, Pose
 from service.errors import CazslError
-from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, check_itself
-from service.manifest import DEFAULT_ALIAS, ModelReference
+from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, context_kind_of, load_version
+from service.manifest import ModelReference
 from service.predictor import OnnxPredictor
-from service.registry import Registry, VerifiedVersion
-from service.schemas import PredictResponse
+from service.registry import Registry
+from service.schemas import ContextBody, PredictRequest, PredictResponse, PusherBody
 from service.settings import Settings
 from service.telemetry import configure_logging
+
+P = ParamSpec("P")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -35,6 +37,19 @@ def main() -> None:
 
     Settings come from the environment (CAZSL_REGISTRY, CAZSL_PORT, ...); options win over them.
     """
+
+
+def mend(command: Callable[P, None]) -> Callable[P, None]:
+    """An error of ours becomes one line and exit status 1."""
+
+    @functools.wraps(command)
+    def run(*args: P.args, **kwargs: P.kwargs) -> None:
+        try:
+            command(*args, **kwargs)
+        except CazslError as error:
+            raise click.ClickException(str(error)) from error
+
+    return run
 
 
 registry_option = click.option(
@@ -80,60 +95,49 @@ def models() -> None:
     """Look at the registry."""
 
 
-def _mend(command: Callable[[], None]) -> None:
-    """Run a command; an error of ours becomes one line and exit status 1."""
-    try:
-        command()
-    except CazslError as error:
-        raise click.ClickException(str(error)) from error
-
-
 @models.command("list")
 @registry_option
+@mend
 def list_models(registry: Path) -> None:
     """Name, versions and aliases of every model."""
-
-    def run() -> None:
-        store = Registry(registry)
-        for name in store.names():
-            aliases = ", ".join(f"{alias} -> {version}" for alias, version in store.aliases(name).items()) or "no alias"
-            click.echo(f"{name}  versions {', '.join(map(str, store.versions(name))) or 'none'}  {aliases}")
-        if not store.names():
-            click.echo("no model is published; train and publish one with: make train")
-
-    _mend(run)
+    store = Registry(registry)
+    for name in store.names():
+        aliases = ", ".join(f"{alias} -> {version}" for alias, version in store.aliases(name).items()) or "no alias"
+        click.echo(f"{name}  versions {', '.join(map(str, store.versions(name))) or 'none'}  {aliases}")
+    if not store.names():
+        click.echo("no model is published; train and publish one with: make train")
 
 
 @models.command("show")
 @click.argument("reference")
 @click.option("--json", "as_json", is_flag=True, help="The manifest instead of the card.")
 @registry_option
+@mend
 def show(reference: str, as_json: bool, registry: Path) -> None:
     """The card of a model: NAME, NAME@ALIAS or NAME@VERSION."""
-    _mend(lambda: _show(_verified(registry, reference), as_json))
+    store, parsed = Registry(registry), ModelReference.parse(reference, "reference")
+    version = store.read(parsed.name, store.resolve(parsed))
+    click.echo(json.dumps(json.loads(version.manifest.render()), indent=2) if as_json else version.card)
 
 
 @models.command("verify")
 @click.argument("reference", required=False)
 @registry_option
+@mend
 def verify(reference: str | None, registry: Path) -> None:
-    """Check digests, tensors and self-check of one version, or of all that are published; exit status 1 if any fails."""
-
-    def run() -> None:
-        store = Registry(registry)
-        references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
-        broken = 0
-        for each in references:
-            try:
-                found = _load(registry, each)
-                click.echo(f"{found.manifest.name}@{found.manifest.version}  ok")
-            except CazslError as error:
-                click.echo(f"{each}  BROKEN  {error}", err=True)
-                broken += 1
-        if broken:
-            sys.exit(1)
-
-    _mend(run)
+    """Check digests, tensors and self-check of one version, or of all published; exit status 1 if any fails."""
+    store = Registry(registry)
+    references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
+    broken = 0
+    for each in references:
+        try:
+            found = _load(registry, each)
+            click.echo(f"{found.manifest.name}@{found.manifest.version}  ok")
+        except CazslError as error:
+            click.echo(f"{each}  BROKEN  {error}", err=True)
+            broken += 1
+    if broken:
+        sys.exit(1)
 
 
 @main.command()
@@ -141,34 +145,26 @@ def verify(reference: str | None, registry: Path) -> None:
 @click.argument("pose", nargs=3, type=float, metavar="X_M Y_M ANGLE_RAD")
 @click.option("--model", "reference", help="NAME, NAME@ALIAS or NAME@VERSION. [default: the champion for this context]")
 @registry_option
+@mend
 def predict(descriptor: str | None, pose: tuple[float, float, float], reference: str | None, registry: Path) -> None:
     """Predict one push, without a service; prints what POST /v1/predict would answer.
 
     DESCRIPTOR is four sides, each a shape digit and a weight letter, such as 1a2b3c4a. The pusher's pose is in the
     object's frame: put -- before it when a number is negative.
     """
-
-    def run() -> None:
-        context = None if descriptor is None else ObjectContext.from_descriptor(descriptor)
-        kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
-        model = _load(registry, reference or f"{DEFAULT_MODELS[kind]}@{DEFAULT_ALIAS}")
-        answer = PredictResponse.of(model, model.predict_push(Pose.wrapped(*pose), context))
-        click.echo(answer.model_dump_json(indent=2))
-
-    _mend(run)
-
-
-def _verified(registry: Path, reference: str) -> VerifiedVersion:
-    store, parsed = Registry(registry), ModelReference.parse(reference, "reference")
-    return store.read(parsed.name, store.resolve(parsed))
+    context = None if descriptor is None else ContextBody(descriptor=descriptor)
+    try:
+        request = PredictRequest(
+            pusher=PusherBody(x=pose[0], y=pose[1], angle=pose[2]), context=context, model=reference
+        )
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
+    push, thing = request.push(), request.object_context()
+    model = _load(registry, reference or DEFAULT_MODELS[context_kind_of(thing)])
+    click.echo(PredictResponse.of(model, model.predict_push(push, thing)).model_dump_json(indent=2))
 
 
 def _load(registry: Path, reference: str) -> LoadedModel:
-    verified = _verified(registry, reference)
-    predictor = OnnxPredictor(verified.model, verified.manifest.context_kind)
-    check_itself(verified.manifest, predictor)
-    return LoadedModel(verified.manifest, verified.card, predictor)
-
-
-def _show(version: VerifiedVersion, as_json: bool) -> None:
-    click.echo(json.dumps(json.loads(version.manifest.render()), indent=2) if as_json else version.card)
+    store, parsed = Registry(registry), ModelReference.parse(reference, "reference")
+    return load_version(store, OnnxPredictor, parsed.name, store.resolve(parsed))

@@ -10,6 +10,7 @@ Standard library and numpy only.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final, Self
@@ -107,7 +108,7 @@ class ObjectContext:
         return cls._from_sides([Side(*descriptor[2 * i : 2 * i + 2]) for i in range(SIDES)], where)
 
     @classmethod
-    def from_indicator(cls, indicator: tuple[int, ...] | list[int], where: str = "indicator") -> Self:
+    def from_indicator(cls, indicator: Sequence[float], where: str = "indicator") -> Self:
         """Parse 36 zeros and ones: for each side the shape one-hot (4), then the weight one-hot (5).
 
         Raises:
@@ -166,7 +167,7 @@ class ObjectContext:
         return type(self)((first, second, third, fourth))
 
 
-def _names_of_ones(bits: tuple[int, ...], names: str) -> str:
+def _names_of_ones(bits: Sequence[float], names: str) -> str:
     return "".join(name for bit, name in zip(bits, names, strict=True) if bit)
 
 

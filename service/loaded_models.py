@@ -50,7 +50,7 @@ class LoadedModel:
             ContextKindError: the context is not of the kind that the model wants.
             PredictionError: the runtime failed.
         """
-        given = ContextKind.NONE if context is None else ContextKind.INDICATOR
+        given = context_kind_of(context)
         if given is not self.manifest.context_kind:
             accepted = f"a context of kind {self.manifest.context_kind} for {self.manifest.name}"
             raise ContextKindError([FieldFault("body.context", f"kind {given}", accepted)])
@@ -60,6 +60,11 @@ class LoadedModel:
         else:
             mean, std = self.predictor.predict(poses, context.indicator()[None], _FIRST_OBJECT)
         return GaussianPose(Pose.wrapped(*mean[0].tolist()), Pose(*std[0].tolist()))
+
+
+def context_kind_of(context: ObjectContext | None) -> ContextKind:
+    """The kind of context that was given."""
+    return ContextKind.NONE if context is None else ContextKind.INDICATOR
 
 
 @dataclass(frozen=True)
@@ -156,8 +161,8 @@ class LoadedModels:
             versions = set(self._registry.versions(name)[-self._newest_versions :]) | set(wanted.values())
             for version in sorted(versions):
                 try:
-                    models[name, version] = self._snapshot.models.get((name, version)) or self._load_version(
-                        name, version
+                    models[name, version] = self._snapshot.models.get((name, version)) or load_version(
+                        self._registry, self._load, name, version
                     )
                 except CazslError as error:
                     problems.append(f"{name}@{version} is broken and not served: {error}")
@@ -170,12 +175,6 @@ class LoadedModels:
                     aliases[name, alias] = kept
                     problems.append(f"{name}@{alias} should be {version}; {kept} goes on being served")
         return Snapshot(models, aliases, tuple(problems) if models or problems else ("the registry holds no model",))
-
-    def _load_version(self, name: str, version: int) -> LoadedModel:
-        verified = self._registry.read(name, version)
-        predictor = self._load(verified.model, verified.manifest.context_kind)
-        check_itself(verified.manifest, predictor)
-        return LoadedModel(verified.manifest, verified.card, predictor)
 
     def _announce(self, new: Snapshot) -> None:
         """Log what changed, once."""
@@ -190,6 +189,18 @@ class LoadedModels:
         if new.problems != old.problems:
             for problem in new.problems:
                 logger.warning("registry problem", extra={"problem": problem})
+
+
+def load_version(registry: Registry, load: PredictorFactory, name: str, version: int) -> LoadedModel:
+    """A version, verified in the written order: format, sizes, digests, tensors, self-check.
+
+    Raises:
+        BrokenModelError: it fails one of them.
+    """
+    verified = registry.read(name, version)
+    predictor = load(verified.model, verified.manifest.context_kind)
+    check_itself(verified.manifest, predictor)
+    return LoadedModel(verified.manifest, verified.card, predictor)
 
 
 def check_itself(manifest: Manifest, predictor: Predictor) -> None:

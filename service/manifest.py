@@ -226,7 +226,7 @@ def _refuse_constant(name: str) -> float:
 def _read(kind: Any, value: Any, where: str) -> Any:
     """A JSON value as the annotated type: exact types, no field missing, none unknown, numbers finite."""
     origin, arguments = get_origin(kind), get_args(kind)
-    if is_dataclass(kind) and isinstance(value, dict):
+    if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, dict):
         hints = get_type_hints(kind)
         if odd := set(value) ^ {field.name for field in fields(kind)}:
             raise BrokenModelError(f"{MANIFEST_FILE}: {where}: missing or unknown: {', '.join(sorted(odd)[:5])}")

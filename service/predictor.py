@@ -3,7 +3,7 @@
 from typing import Protocol
 
 import numpy as np
-import onnxruntime  # type: ignore[import-untyped]
+import onnxruntime
 
 from service.contract import ContextKind, FloatArray, IndexArray
 from service.errors import BrokenModelError, PredictionError

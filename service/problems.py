@@ -1,9 +1,9 @@
-"""Every failure as ``application/problem+json`` (RFC 9457), whatever raised it. Never a traceback, a path or the body."""
+"""Every failure as ``application/problem+json`` (RFC 9457). Never a traceback, a path or the body."""
 
 import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
@@ -29,16 +29,14 @@ def install_problem_handlers(app: FastAPI) -> None:
     """Answer every failure of the app as a problem."""
 
     async def on_error(request: Request, error: Exception) -> Response:
-        assert isinstance(error, CazslError)
-        return problem_response(request.scope, error)
+        return problem_response(request.scope, cast(CazslError, error))
 
     async def on_validation(request: Request, error: Exception) -> Response:
-        assert isinstance(error, RequestValidationError)
-        faults = [_fault(found) for found in error.errors()[:MAX_FAULTS]]
+        faults = [_fault(found) for found in cast(RequestValidationError, error).errors()[:MAX_FAULTS]]
         return problem_response(request.scope, InvalidRequestError(faults))
 
-    async def on_http(request: Request, error: Exception) -> Response:
-        assert isinstance(error, HTTPException)
+    async def on_http(request: Request, raised: Exception) -> Response:
+        error = cast(HTTPException, raised)
         if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
             return problem_response(request.scope, BodyTooLargeError(request.app.state.settings.max_body_bytes))
         phrase = HTTPStatus(error.status_code).phrase
@@ -114,6 +112,17 @@ def _in_words(value: Any) -> str:
             return f"a list of {len(value)} values"
         case _:
             return "an object"
+
+
+def state_media_type(document: dict[str, Any]) -> dict[str, Any]:
+    """Say in an OpenAPI document that problems come as problem+json; FastAPI writes its own type for every model."""
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            for response in operation["responses"].values():
+                content = response.get("content", {})
+                if content.get("application/json", {}).get("schema") == {"$ref": "#/components/schemas/ProblemBody"}:
+                    response["content"] = {MEDIA_TYPE: content["application/json"]}
+    return document
 
 
 class BodyLimit(RequestBodyLimitMiddleware):

@@ -261,7 +261,7 @@ class Registry:
 
 def _listing(folder: Path) -> list[str]:
     try:
-        return os.listdir(folder)
+        return [entry.name for entry in folder.iterdir()]
     except OSError as error:
         raise RegistryError(f"the registry cannot be listed: {error.strerror}") from error
 

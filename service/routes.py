@@ -7,9 +7,8 @@ import pydantic_core
 from fastapi import APIRouter, Path, Request, Response
 from fastapi.routing import APIRoute
 
-from service.contract import ContextKind
 from service.errors import MalformedBodyError, UnsupportedMediaTypeError
-from service.loaded_models import LoadedModel, Snapshot
+from service.loaded_models import LoadedModel, Snapshot, context_kind_of
 from service.manifest import ModelReference
 from service.schemas import (
     LiveBody,
@@ -28,11 +27,7 @@ Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the 
 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """How the OpenAPI document describes failures."""
-    schema = {"application/problem+json": {"schema": {"$ref": "#/components/schemas/ProblemBody"}}}
-    return {
-        status: {"description": "a problem, see its code", "model": ProblemBody, "content": schema}
-        for status in statuses
-    }
+    return {status: {"description": "a problem, see its code", "model": ProblemBody} for status in statuses}
 
 
 class StrictJsonRequest(Request):
@@ -87,11 +82,8 @@ router = APIRouter(route_class=StrictJsonRoute)
 )
 async def predict(request: Request, body: PredictRequest) -> PredictResponse:
     """Predict one push. Runs in the event loop on purpose: it takes less time than handing it to a thread."""
-    context = None if body.context is None else body.context.to_contract()
-    reference = body.reference()
-    models = snapshot_of(request)
-    kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
-    model = models.find_default(kind) if reference is None else models.find(reference)
+    context, reference, models = body.object_context(), body.reference(), snapshot_of(request)
+    model = models.find_default(context_kind_of(context)) if reference is None else models.find(reference)
     request.state.log = {"model": model.manifest.name, "version": model.manifest.version}
     return PredictResponse.of(model, model.predict_push(body.push(), context))
 

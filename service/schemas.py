@@ -101,6 +101,14 @@ class PredictRequest(_Body):
         """
         return None if self.model is None else ModelReference.parse(self.model, "body.model")
 
+    def object_context(self) -> ObjectContext | None:
+        """The object, where one was given.
+
+        Raises:
+            InvalidRequestError: not exactly one form, or a side that cannot be one.
+        """
+        return None if self.context is None else self.context.to_contract()
+
     def push(self) -> Pose:
         """The pusher pose, its angle wrapped."""
         return Pose.wrapped(self.pusher.x, self.pusher.y, self.pusher.angle)

@@ -49,7 +49,7 @@ def request_id_of(scope: Scope) -> str:
 
 
 class RequestTelemetry:
-    """The outermost ring: gives every request an id, logs one line for it, and turns what nobody expected into a 500."""
+    """The outermost ring: an id and a log line for every request, and a 500 for what nobody expected."""
 
     def __init__(self, app: ASGIApp, internal_error: InternalError) -> None:
         self.app = app

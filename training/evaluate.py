@@ -1,4 +1,4 @@
-"""Error, likelihood and calibration on held-out objects: the measures of the paper's tables, and what they leave out."""
+"""Error, likelihood and calibration on held-out objects: the paper's measures, and what they leave out."""
 
 import math
 from dataclasses import dataclass
@@ -54,8 +54,8 @@ def evaluate(network: PushNetwork, pushes: NormalisedPushes) -> Evaluation:
     with torch.inference_mode():
         mean, log_std, _ = network(pushes.pusher, pushes.context)
     present = pushes.valid > 0
-    arrays = (values[present].cpu().numpy() for values in (mean, log_std, pushes.outcome))
-    return measure(*arrays, published_normalisation())
+    arrays = [values[present].cpu().numpy() for values in (mean, log_std, pushes.outcome)]
+    return measure(arrays[0], arrays[1], arrays[2], published_normalisation())
 
 
 def measure(mean: FloatArray, log_std: FloatArray, outcome: FloatArray, known: Normalisation) -> Evaluation:

@@ -20,6 +20,7 @@ import service
 from service.contract import POSE_NAMES, ContextKind, FloatArray, IndexArray
 from service.errors import PublishError
 from service.manifest import (
+    OUTPUTS,
     Calibration,
     DataRecord,
     Manifest,
@@ -27,12 +28,11 @@ from service.manifest import (
     NormalisationRecord,
     SelfCheck,
     expected_inputs,
-    OUTPUTS,
 )
 from service.predictor import OnnxPredictor
 from service.registry import Registry
 from training.data import Pushes, published_normalisation
-from training.evaluate import Evaluation, NormalisedPushes, evaluate
+from training.evaluate import COVERAGE_LEVELS, Evaluation, NormalisedPushes, evaluate
 from training.networks import PushNetwork
 from training.recipes import Recipe
 
@@ -51,8 +51,10 @@ class ServedNetwork(nn.Module):
         super().__init__()
         self.network = network
         known = published_normalisation()
-        for name, value in vars(known).items():
-            self.register_buffer(name, torch.tensor(value, dtype=torch.float32))
+        self.input_mean, self.input_std, self.output_mean, self.output_std = (
+            nn.Buffer(torch.tensor(value, dtype=torch.float32))
+            for value in (known.input_mean, known.input_std, known.output_mean, known.output_std)
+        )
 
     def forward(
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
@@ -68,7 +70,7 @@ class ServedNetwork(nn.Module):
 
 def wrap_last(pose: Tensor) -> Tensor:
     """Poses (n, 3) with their angle in (-pi, pi]."""
-    position, angle = pose.split([2, 1], dim=-1)
+    position, angle = torch.split(pose, [2, 1], dim=-1)
     return torch.cat([position, angle - 2.0 * math.pi * torch.ceil((angle - math.pi) / (2.0 * math.pi))], dim=-1)
 
 
@@ -247,8 +249,8 @@ figures on a real table.
         " | ".join(f"{100 * share:.1f} %" for share in found.coverage.values())
     } |
 
-RMSE, STD and NLL are in units of the published standard deviations; NLL is per push, summed over the 3 outputs; coverage
-is the share of true values inside the central interval. Mean predicted std: x {1000 * sharpness["x"]:.2f} mm,
+RMSE, STD and NLL are in units of the published standard deviations; NLL is per push, summed over the 3 outputs;
+coverage is the share of true values inside the central interval. Mean predicted std: x {1000 * sharpness["x"]:.2f} mm,
 y {1000 * sharpness["y"]:.2f} mm, angle {sharpness["angle"]:.4f} rad.
 
 ## Limits
@@ -261,12 +263,19 @@ y {1000 * sharpness["y"]:.2f} mm, angle {sharpness["angle"]:.4f} rad.
 
 
 def _calibration(found: Evaluation) -> Calibration:
-    return Calibration("none", *found.coverage.values(), sharpness=list(found.sharpness))
+    coverage_50, coverage_90, coverage_95 = (found.coverage[level] for level in COVERAGE_LEVELS)
+    return Calibration("none", coverage_50, coverage_90, coverage_95, list(found.sharpness))
 
 
 def _self_check(model: bytes, kind: ContextKind) -> SelfCheck:
     """A small batch with the answers of the graph itself, for every later load."""
     batch = probe_batch(pushes=4, objects=2, seed=4)
     mean, std = OnnxPredictor(model, kind).predict(batch.pusher, batch.context, batch.context_index)
-    lists = (array.tolist() for array in (batch.pusher, batch.context, batch.context_index, mean, std))
-    return SelfCheck(*lists, tolerance=SELF_CHECK_TOLERANCE)
+    return SelfCheck(
+        pusher=batch.pusher.tolist(),
+        context=batch.context.tolist(),
+        context_index=batch.context_index.tolist(),
+        mean=mean.tolist(),
+        std=std.tolist(),
+        tolerance=SELF_CHECK_TOLERANCE,
+    )

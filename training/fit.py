@@ -7,7 +7,6 @@ run that was killed continues from its last checkpoint to the same weights as on
 
 import ctypes
 import json
-import os
 import sys
 import time
 from pathlib import Path
@@ -85,7 +84,7 @@ def train_epoch(
     """One pass over all objects; the mean likelihood and regulariser over its batches."""
     order = np.random.default_rng([recipe.seed, epoch]).permutation(len(train.context))
     sums, batches = torch.zeros(2, device=train.context.device), 0
-    for batch in torch.from_numpy(order).to(train.context.device).split(recipe.batch_objects):
+    for batch in torch.split(torch.from_numpy(order).to(train.context.device), recipe.batch_objects):
         context = train.context[batch]
         mean, log_std, mask = network(train.pusher[batch], context)
         likelihood = gaussian_nll(mean, log_std, train.outcome[batch], train.valid[batch])
@@ -93,7 +92,7 @@ def train_epoch(
         if recipe.network().regularised and mask is not None:
             regulariser = l2_regulariser(mask, context, recipe.lambda_1, recipe.lambda_2)
         adam.zero_grad()
-        (likelihood + regulariser).backward()
+        torch.autograd.backward(likelihood + regulariser)
         adam.step()
         sums += torch.stack([likelihood.detach(), regulariser.detach()])
         batches += 1
@@ -148,7 +147,7 @@ def _open_run(folder: Path, recipe: Recipe, pushes: Pushes) -> None:
 def _save_checkpoint(folder: Path, network: PushNetwork, adam: torch.optim.Optimizer, next_epoch: int) -> None:
     part = folder / (CHECKPOINT_FILE + ".part")
     torch.save({"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch}, part)
-    os.replace(part, folder / CHECKPOINT_FILE)
+    part.replace(folder / CHECKPOINT_FILE)
 
 
 def _resume(folder: Path, network: PushNetwork, adam: torch.optim.Optimizer) -> int:

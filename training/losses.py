@@ -27,4 +27,5 @@ def l2_regulariser(mask: Tensor, context: Tensor, lambda_1: float, lambda_2: flo
         return mask.new_zeros(())
     mask_distance = torch.linalg.vector_norm(mask[:half] - mask[half : 2 * half], dim=-1)
     context_distance = torch.linalg.vector_norm(context[:half] - context[half : 2 * half], dim=-1)
-    return lambda_1 * ((mask_distance - lambda_2 * context_distance) ** 2).mean()
+    difference: Tensor = mask_distance - lambda_2 * context_distance
+    return lambda_1 * difference.square().mean()

@@ -69,13 +69,13 @@ class PushNetwork(nn.Module):
         return None if self.context_mask is None else torch.relu(self.context_mask(context))
 
     def gaussian(self, pusher: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Mean and log standard deviation (..., 3) of pusher poses (..., 3) under masks that broadcast to (..., 256)."""
+        """Mean and log std (..., 3) of pusher poses (..., 3) under masks that broadcast to (..., 256)."""
         hidden = torch.relu(self.first(pusher))
         if mask is not None:
             hidden = hidden * mask
         hidden = torch.relu(self.second(hidden))
         hidden = torch.relu(self.third(hidden))
-        mean, log_std = self.last(hidden).split(POSE, dim=-1)
+        mean, log_std = torch.split(self.last(hidden), POSE, dim=-1)
         return mean, log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
 
     def forward(self, pusher: Tensor, context: Tensor) -> Prediction:

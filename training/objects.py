@@ -12,6 +12,7 @@ a printed shell with little infill.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -73,7 +74,7 @@ def concave_side() -> list[Polygon]:
     horn = [(-CORE_HALF_WIDTH_M, outer), *zip(cuts, depths, strict=True), (CORE_HALF_WIDTH_M, outer)]
     return [
         np.array([(inner, low), (x_low, low), (x_high, high), (inner, high)])
-        for (low, x_low), (high, x_high) in zip(horn[:-1], horn[1:], strict=True)
+        for (low, x_low), (high, x_high) in pairwise(horn)
     ]
 
 
@@ -131,7 +132,8 @@ def clearance_m(piece: Polygon, points: npt.NDArray[np.float64]) -> npt.NDArray[
     along = np.clip((offset * edge).sum(-1) / (edge * edge).sum(-1), 0.0, 1.0)
     distance = np.linalg.norm(offset - along[..., None] * edge, axis=-1).min(axis=1)
     inside = (edge[:, 0] * offset[..., 1] - edge[:, 1] * offset[..., 0] >= 0.0).all(axis=1)
-    return np.where(inside, -distance, distance)
+    signed: npt.NDArray[np.float64] = np.where(inside, -distance, distance)
+    return signed
 
 
 def _weight_distance_m(side: Side) -> float:

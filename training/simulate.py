@@ -15,7 +15,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import mujoco
 import numpy as np
@@ -176,7 +176,7 @@ def scene(body: Solid) -> mujoco.MjSpec:
     return spec
 
 
-def missed_share(outcomes: Array) -> float:
+def missed_share(outcomes: npt.NDArray[np.floating[Any]]) -> float:
     """Share of pushes that did not move the object; outcomes (..., 3)."""
     still = np.hypot(outcomes[..., 0], outcomes[..., 1]) < CONTACT_DISPLACEMENT_M
     return float(np.mean(still & (np.abs(outcomes[..., 2]) < CONTACT_TURN_RAD)))

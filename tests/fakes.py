@@ -1,0 +1,109 @@
+"""Stand-ins for what is slow or outside: a predictor without onnxruntime, and folders of small whole models."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from service.contract import ContextKind, FloatArray, IndexArray
+from service.errors import BrokenModelError, PredictionError
+from service.loaded_models import LoadedModels
+from service.manifest import (
+    OUTPUTS,
+    Calibration,
+    DataRecord,
+    Manifest,
+    Metrics,
+    NormalisationRecord,
+    SelfCheck,
+    expected_inputs,
+)
+from service.registry import Registry
+
+STD = (0.001, 0.002, 0.03)
+BROKEN = b"broken"  # a model that the fake factory refuses
+LYING = b"lying"  # a model that loads and fails its self-check
+FAILING = b"failing"  # a model that passes its self-check and fails on every other push
+CHECKED_PUSH = [-0.08, 0.0, 0.0]
+
+
+@dataclass
+class FakePredictor:
+    """The object moves a tenth of the pusher's way to it, and turns by the number of ones in its context."""
+
+    model: bytes
+    kind: ContextKind
+    calls: list[FloatArray] = field(default_factory=list)
+
+    def predict(
+        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """See ``service.predictor.Predictor``."""
+        self.calls.append(pusher)
+        if self.model == FAILING and pusher[0].tolist() != np.float32(CHECKED_PUSH).tolist():
+            raise PredictionError("the fake fails")
+        mean = np.asarray(-pusher / 10.0, dtype=np.float32)
+        if self.kind is not ContextKind.NONE and context is not None and context_index is not None:
+            mean[:, 2] = context.sum(axis=1)[context_index]
+        if self.model == LYING:
+            mean = mean + np.float32(1.0)
+        return mean, np.tile(np.array(STD, dtype=np.float32), (len(pusher), 1))
+
+
+def load_fake(model: bytes, kind: ContextKind) -> FakePredictor:
+    """A predictor factory."""
+    if model == BROKEN:
+        raise BrokenModelError("model.onnx: the fake refuses it")
+    return FakePredictor(model, kind)
+
+
+def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
+    """A manifest whose self-check is what ``FakePredictor`` answers."""
+    pusher = [CHECKED_PUSH]
+    context = np.zeros((1, 36), dtype=np.float32)
+    context[0, :3] = 1.0
+    mean, std = FakePredictor(b"", kind).predict(
+        np.array(pusher, dtype=np.float32), context, np.zeros(1, dtype=np.int64)
+    )
+    return Manifest(
+        name=name,
+        version=1,
+        created="2026-11-22T00:00:00+00:00",
+        method="FCN + CM" if kind is ContextKind.INDICATOR else "FCN",
+        context_kind=kind,
+        inputs=expected_inputs(kind),
+        outputs=OUTPUTS,
+        normalisation=NormalisationRecord([0.0] * 3, [1.0] * 3, [0.0] * 3, [1.0] * 3),
+        image_convention=None,
+        recipe={"epochs": 1, "seed": 0},
+        data=DataRecord("fake pushes", "0" * 64, "different-objects", 2, 20, 1, 10),
+        code_version="0.0.0",
+        metrics={"different-objects": Metrics(0.5, 0.5, 10.96, 1.0)},
+        calibration={"different-objects": Calibration("none", 0.5, 0.9, 0.95, [0.001, 0.002, 0.03])},
+        self_check=SelfCheck(pusher, context.tolist(), [0], mean.tolist(), std.tolist(), 1e-4),
+        files={},
+    )
+
+
+def publish_fake(
+    registry: Registry,
+    name: str = "push-indicator",
+    kind: ContextKind = ContextKind.INDICATOR,
+    model: bytes = b"fine",
+    alias: str | None = "champion",
+) -> int:
+    """Publish a fake model and point an alias at it; the version."""
+    version = registry.publish(draft_manifest(name, kind), model, f"# {name}\n").version
+    if alias is not None:
+        registry.point_alias(name, alias, version)
+    return version
+
+
+def fake_models(root: Path) -> tuple[Registry, LoadedModels]:
+    """A registry with one indicator model and one without context, and what serves it."""
+    registry = Registry(root)
+    publish_fake(registry)
+    publish_fake(registry, "push-none", ContextKind.NONE)
+    models = LoadedModels(registry, load_fake)
+    models.refresh()
+    return registry, models

@@ -1,0 +1,129 @@
+"""Who may import whom, held over the source tree."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SERVICE: dict[str, set[str]] = {
+    "errors": set(),
+    "contract": {"errors"},
+    "manifest": {"errors", "contract"},
+    "registry": {"errors", "contract", "manifest"},
+    "predictor": {"errors", "contract", "manifest"},
+    "loaded_models": {"errors", "contract", "manifest", "registry", "predictor"},
+    "schemas": {"errors", "contract", "manifest", "loaded_models"},
+    "settings": set(),
+    "telemetry": set(),
+    "problems": {"errors", "schemas", "telemetry"},
+    "routes": {"errors", "contract", "manifest", "loaded_models", "schemas"},
+    "app": {"errors", "loaded_models", "problems", "routes", "settings", "telemetry"},
+    "cli": {
+        "errors",
+        "contract",
+        "manifest",
+        "registry",
+        "predictor",
+        "loaded_models",
+        "schemas",
+        "settings",
+        "telemetry",
+        "app",
+    },
+}
+OUTSIDE: dict[str, set[str]] = {
+    "errors": set(),
+    "contract": {"numpy"},
+    "manifest": set(),
+    "registry": set(),
+    "predictor": {"numpy", "onnxruntime"},
+    "loaded_models": {"numpy"},
+    "schemas": {"pydantic"},
+    "settings": {"pydantic", "pydantic_settings"},
+    "telemetry": {"starlette", "pythonjsonlogger"},
+    "problems": {"fastapi", "starlette"},
+    "routes": {"fastapi", "pydantic_core"},
+    "app": {"fastapi", "starlette"},
+    "cli": {"click", "pydantic", "uvicorn"},
+}
+TRAINING_TAKES = {"errors", "contract", "manifest", "registry", "images", "predictor"}
+
+
+def imported(path: Path) -> set[str]:
+    """Every module that a file imports, functions included."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path.name}: relative import"
+            module = node.module or ""
+            found |= {f"{module}.{alias.name}" if module in ("service", "training") else module for alias in node.names}
+    return found
+
+
+def rooms(modules: set[str], package: str) -> set[str]:
+    """The rooms of one package among imported modules."""
+    return {module.split(".")[1] for module in modules if module.startswith(package + ".")}
+
+
+def files(project_root: Path, package: str) -> list[Path]:
+    """The source files of a package."""
+    return sorted(path for path in (project_root / package).rglob("*.py"))
+
+
+def test_every_room_of_the_service_has_its_place_in_the_table(project_root: Path) -> None:
+    """A new room is a decision: it is added to the tables above."""
+    found = {path.stem for path in files(project_root, "service")} - {"__init__"}
+    assert found == set(SERVICE) == set(OUTSIDE)
+
+
+@pytest.mark.parametrize("room", SERVICE)
+def test_a_room_of_the_service_imports_only_what_stands_below_it(project_root: Path, room: str) -> None:
+    """Imports inside the service point one way."""
+    assert rooms(imported(project_root / "service" / f"{room}.py"), "service") <= SERVICE[room]
+
+
+@pytest.mark.parametrize("room", OUTSIDE)
+def test_a_room_of_the_service_uses_only_its_own_libraries(project_root: Path, room: str) -> None:
+    """Each library has its rooms: onnxruntime one, the web framework the upper ones, the core none."""
+    modules = {module.split(".")[0] for module in imported(project_root / "service" / f"{room}.py")}
+    assert modules - set(sys.stdlib_module_names) - {"service"} <= OUTSIDE[room]
+
+
+def test_the_tables_have_no_cycle() -> None:
+    """Every room can be placed below those that import it."""
+    placed: set[str] = set()
+    while len(placed) < len(SERVICE):
+        ready = {room for room, below in SERVICE.items() if room not in placed and below <= placed}
+        assert ready, f"a cycle among {set(SERVICE) - placed}"
+        placed |= ready
+
+
+def test_the_trainer_takes_only_the_shared_rooms_of_the_service(project_root: Path) -> None:
+    """Training uses the service's core and nothing of its web side."""
+    for path in files(project_root, "training"):
+        assert rooms(imported(path), "service") - {"__version__"} <= TRAINING_TAKES, path.name
+
+
+def test_serving_loads_neither_torch_nor_the_trainer(project_root: Path) -> None:
+    """A fresh interpreter that imports the app and the command line has no torch, no trainer, no pickle loader."""
+    code = "import sys, service.app, service.cli; print(sorted({m.split('.')[0] for m in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(done.stdout))
+    assert "service" in loaded
+    assert not loaded & {"torch", "training", "mujoco", "onnx", "safetensors"}
+
+
+def test_nothing_happens_at_import(project_root: Path) -> None:
+    """Importing every room of the service writes nothing, starts no thread and reads no setting."""
+    code = (
+        "import importlib, threading, os; os.environ['CAZSL_PORT'] = 'nonsense';"
+        f"[importlib.import_module('service.' + room) for room in {sorted(SERVICE)}];"
+        "print(threading.active_count())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "1"
+    assert done.stderr == ""
