@@ -93,7 +93,7 @@ class Snapshot:
                 f"no model is loaded: {self.problems[0] if self.problems else 'none is published'}"
             )
         served = ", ".join(f"{name}@{number}" for name, number in sorted(self.models)[:10])
-        raise UnknownModelError(f"model: received {reference}, which is not served; accepted is one of: {served}")
+        raise UnknownModelError(f"model: received a reference that is not served; accepted is one of: {served}")
 
     def find_default(self, kind: ContextKind) -> LoadedModel:
         """The champion of the default model for this kind of context.

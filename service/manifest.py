@@ -86,8 +86,8 @@ class Tensor:
 
     name: str
     dtype: str
-    shape: list[int | str]
-    units: list[str]
+    shape: tuple[int | str, ...]
+    units: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -155,8 +155,8 @@ class Manifest:
     created: str  # UTC, ISO 8601
     method: str
     context_kind: ContextKind
-    inputs: list[Tensor]
-    outputs: list[Tensor]
+    inputs: tuple[Tensor, ...]
+    outputs: tuple[Tensor, ...]
     normalisation: NormalisationRecord
     image_convention: str | None
     recipe: dict[str, str | int | float | bool]
@@ -207,16 +207,16 @@ class Manifest:
         return (text + "\n").encode()
 
 
-_POSE_UNITS: Final = ["m", "m", "rad"]
-_PUSHER: Final = Tensor("pusher", "float32", ["n", 3], _POSE_UNITS)
-_INDICATOR: Final = Tensor("context", "float32", ["g", INDICATOR_LENGTH], ["1"])
-_CONTEXT_INDEX: Final = Tensor("context_index", "int64", ["n"], ["1"])
-OUTPUTS: Final = [Tensor(name, "float32", ["n", 3], _POSE_UNITS) for name in ("mean", "std")]
+_POSE_UNITS: Final = ("m", "m", "rad")
+_PUSHER: Final = Tensor("pusher", "float32", ("n", 3), _POSE_UNITS)
+_INDICATOR: Final = Tensor("context", "float32", ("g", INDICATOR_LENGTH), ("1",))
+_CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
+OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
 
 
-def expected_inputs(kind: ContextKind) -> list[Tensor]:
+def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
     """The inputs that a graph of this context kind must have, in order."""
-    return [_PUSHER] if kind is ContextKind.NONE else [_PUSHER, _INDICATOR, _CONTEXT_INDEX]
+    return (_PUSHER,) if kind is ContextKind.NONE else (_PUSHER, _INDICATOR, _CONTEXT_INDEX)
 
 
 def _refuse_constant(name: str) -> float:
@@ -232,8 +232,8 @@ def _read(kind: Any, value: Any, where: str) -> Any:
             raise BrokenModelError(f"{MANIFEST_FILE}: {where}: missing or unknown: {', '.join(sorted(odd)[:5])}")
         parts = {name: _read(hints[name], part, f"{where}.{name}") for name, part in value.items()}
         return kind(**parts)
-    if origin is list and isinstance(value, list):
-        return [_read(arguments[0], part, f"{where}[{place}]") for place, part in enumerate(value)]
+    if origin in (list, tuple) and isinstance(value, list):
+        return origin(_read(arguments[0], part, f"{where}[{place}]") for place, part in enumerate(value))
     if origin is dict and isinstance(value, dict):
         return {name: _read(arguments[1], part, f"{where}.{name}") for name, part in value.items()}
     if origin is UnionType and type(value) in arguments:

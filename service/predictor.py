@@ -67,7 +67,7 @@ class OnnxPredictor:
 _TYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 
 
-def _check_tensors(what: str, found: list[onnxruntime.NodeArg], expected: list[Tensor]) -> None:
+def _check_tensors(what: str, found: list[onnxruntime.NodeArg], expected: tuple[Tensor, ...]) -> None:
     """Names, types, rank and fixed dimensions, in order."""
     given = [(tensor.name, tensor.type, [d if isinstance(d, int) else None for d in tensor.shape]) for tensor in found]
     wanted = [
@@ -75,5 +75,5 @@ def _check_tensors(what: str, found: list[onnxruntime.NodeArg], expected: list[T
         for tensor in expected
     ]
     if given != wanted:
-        names = ", ".join(f"{tensor.name} {tensor.dtype} {tensor.shape}" for tensor in expected)
+        names = ", ".join(f"{tensor.name} {tensor.dtype} {list(tensor.shape)}" for tensor in expected)
         raise BrokenModelError(f"model.onnx: the {what} are not those of the contract: {names}")
