@@ -2,6 +2,7 @@
 
 import functools
 import json
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -79,6 +80,8 @@ def serve(**options: Any) -> None:
         raise click.ClickException(f"{name}: {first['msg']}") from error
     configure_logging(settings.log_level)
     models = LoadedModels(Registry(settings.registry), OnnxPredictor, settings.newest_versions)
+    # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success
+    signal.signal(signal.SIGTERM, lambda *_: None)
     uvicorn.run(
         create_app(settings, models),
         host=settings.host,

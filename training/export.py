@@ -231,13 +231,15 @@ object's frame before the push. Method: **{draft.method}**, context: **{draft.co
 
 ## Data
 
-Trained on **{data.source}**: {data.train_objects} objects, {data.train_pushes} pushes, split `{data.split}`;
-sha256 of the files `{data.sha256}`. Where the source says simulated, no real push was ever seen: do not expect these
-figures on a real table.
+Trained on **{data.source}**: {data.train_objects} objects, {data.train_pushes} pushes, split `{data.split}`. Where the
+source says simulated, no real push was ever seen: do not expect these figures on a real table. sha256 of the files:
+`{data.sha256}`.
 
 ## Training
 
-{", ".join(f"{key} {value}" for key, value in recipe.items())}. Parameters of the last epoch.
+Parameters of the last epoch of this recipe:
+
+{chr(10).join(f"- {key}: {value}" for key, value in recipe.items())}
 
 ## Held-out objects
 

@@ -36,3 +36,10 @@ def test_an_impossible_value_is_refused(monkeypatch: pytest.MonkeyPatch, name: s
 def test_every_setting_is_described() -> None:
     """A field without words is no setting for ops."""
     assert all(field.description for field in Settings.model_fields.values())
+
+
+def test_every_setting_stands_in_the_documentation_as_it_is(project_root: Path) -> None:
+    """docs/operations.md lists each setting with its default and its meaning."""
+    text = (project_root / "docs" / "operations.md").read_text(encoding="utf-8")
+    for name, field in Settings.model_fields.items():
+        assert f"| `CAZSL_{name.upper()}` | `{field.default}` | {field.description} |" in text

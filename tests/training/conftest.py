@@ -1,11 +1,21 @@
-"""What the trainer's tests share: the rule that skips them without the trainer's extra, and small data and runs.
+"""What the trainer's tests share: the rule that skips them without the trainer's extra, small data and finished runs.
 
-This file is loaded even where torch is absent, so whatever needs it is imported inside the fixtures.
+This file is loaded even where torch is absent, so whatever needs torch is imported inside the fixtures.
 """
 
+import math
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
+
+from service.contract import ObjectContext
+from training.data import declare_dataset, omnipush_descriptors, read_folder, write_object
+
+if TYPE_CHECKING:
+    from training.recipes import Recipe
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:
@@ -15,24 +25,53 @@ def pytest_pycollect_makemodule(module_path: Path) -> None:
 
 
 @pytest.fixture(scope="session")
+def recipe() -> "Recipe":
+    """The paper's masked and regularised network for a few epochs."""
+    from training.recipes import Recipe
+
+    return Recipe(
+        name="push-indicator",
+        method="FCN + CM + L2Reg",
+        set_up="different-objects",
+        epochs=3,
+        batch_objects=64,
+        learning_rate=0.002,
+        lambda_1=0.01,
+        lambda_2=10.0,
+        seed=0,
+    )
+
+
+@pytest.fixture(scope="session")
 def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Synthetic pushes of all 250 objects, one to three of each, in Omnipush's file format."""
-    from tests.training import synthetic
-
-    return synthetic.write_data(tmp_path_factory.mktemp("data"))
+    """One to three pushes of each of the 250 objects, simple enough to learn: objects with more weights turn more."""
+    folder, rng = tmp_path_factory.mktemp("data"), np.random.default_rng(20)
+    declare_dataset(folder, {"source": "synthetic pushes of a test"})
+    for number, descriptor in enumerate(omnipush_descriptors()):
+        bearing = rng.uniform(-math.pi, math.pi, 1 + number % 3)
+        angle = np.angle(np.exp(1j * (bearing + math.pi)))
+        pushers = np.column_stack([0.08 * np.cos(bearing), 0.08 * np.sin(bearing), angle])
+        weights = sum(side.weight != "a" for side in ObjectContext.from_descriptor(descriptor).sides)
+        turn = np.full(len(bearing), 0.1 * weights)
+        write_object(folder, descriptor, pushers, np.column_stack([0.02 * np.cos(angle), 0.02 * np.sin(angle), turn]))
+    return folder
 
 
 @pytest.fixture(scope="session")
-def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path) -> Path:
-    """A finished run of the paper's masked and regularised network on the synthetic pushes."""
-    from tests.training import synthetic
+def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
+    """A finished run of the paper's network on the synthetic pushes; not to be changed."""
+    from training.fit import fit
 
-    return synthetic.finish_run(tmp_path_factory.mktemp("indicator"), data_folder, "FCN + CM + L2Reg")
+    folder = tmp_path_factory.mktemp("indicator")
+    fit(recipe, read_folder(data_folder), folder, quiet=True)
+    return folder
 
 
 @pytest.fixture(scope="session")
-def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path) -> Path:
-    """A finished run of the baseline without context on the synthetic pushes."""
-    from tests.training import synthetic
+def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
+    """A finished run of the baseline without context on the synthetic pushes; not to be changed."""
+    from training.fit import fit
 
-    return synthetic.finish_run(tmp_path_factory.mktemp("none"), data_folder, "FCN")
+    folder = tmp_path_factory.mktemp("none")
+    fit(replace(recipe, name="push-none", method="FCN"), read_folder(data_folder), folder, quiet=True)
+    return folder

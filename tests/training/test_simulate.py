@@ -253,7 +253,7 @@ def test_a_turned_push_of_a_turned_object_has_a_turned_outcome(quarter_turns: in
 
 
 def test_a_heavy_side_lags_behind() -> None:
-    """Pushed through its centre an object turns around its heavy side: more with 150 g than with 60 g, and most far out."""
+    """Pushed through its centre an object turns around its heavy side: the more, the heavier and the further out."""
     along_x = [(-0.080, 0.0, 0.0)]
     turns = [float(push(descriptor, along_x)[0, 2]) for descriptor in ("3a2a3a2a", "3a2b3a2a", "3a2c3a2a", "3a2C3a2a")]
 
@@ -311,8 +311,8 @@ def test_hardly_any_push_misses(sample: Pushes) -> None:
 def test_simulated_pushes_are_spread_like_the_published_ones(sample: Pushes) -> None:
     """Every standard deviation is within 15 % of Omnipush's.
 
-    Of 300 pushes a standard deviation has a sampling error of about 1 / sqrt(600), 4 %, and that of the angle with its
-    heavy tails somewhat more: 15 % is three of them, and the whole dataset agrees within 7 %.
+    Of 300 pushes a standard deviation has a sampling error of about 1 / sqrt(600), 4 %, and the turn with its heavy
+    tails a larger one. The whole dataset agrees within 5 %; 15 % leaves two and a half sampling errors beside that.
     """
     ratios = {quantity: std / published for quantity, _, _, std, published in likeness(sample)}
 

@@ -1,0 +1,186 @@
+"""The service as ops run it: a real process, real sockets, real signals, the model that ships."""
+
+import http.client
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.registry import Registry
+
+BODY = json.dumps({"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}).encode()
+JSON = {"Content-Type": "application/json"}
+PATIENCE_S = 60.0  # machines are shared: this bounds a hang, it measures nothing
+
+
+@dataclass
+class Running:
+    """A service process and its registry."""
+
+    process: subprocess.Popen[str]
+    port: int
+    registry: Registry
+
+    def ask(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any]:
+        """One request on a connection of its own."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        try:
+            connection.request(method, path, body, JSON)
+            response = connection.getresponse()
+            return response.status, json.loads(response.read())
+        finally:
+            connection.close()
+
+    def served_version(self) -> int:
+        """Which version the champion is now, as an answer says it."""
+        status, answer = self.ask("POST", "/v1/predict", BODY)
+        assert status == 200, answer
+        return int(answer["model"]["version"])
+
+    def publish(self) -> int:
+        """Publish the first version once more and make it the champion."""
+        version = publish_again(self.registry)
+        self.registry.point_alias("push-indicator", "champion", version)
+        return version
+
+
+def publish_again(registry: Registry) -> int:
+    """Publish the first version as the next one."""
+    first = registry.read("push-indicator", 1)
+    return registry.publish(first.manifest, first.model, first.card).version
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_until(condition: Any) -> None:
+    """Wait for a condition that will hold, or fail."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def running(project_root: Path, tmp_path: Path) -> Iterator[Running]:
+    """A service over a copy of the shipped registry, looking for news ten times a second."""
+    root = tmp_path / "models"
+    shutil.copytree(project_root / "models", root)
+    port = free_port()
+    environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(root), "CAZSL_POLL_INTERVAL_S": "0.1"}
+    with (tmp_path / "log").open("w") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+            cwd=project_root,
+            env={**os.environ, **environment},
+            stderr=log,
+            text=True,
+        )
+    found = Running(process, port, Registry(root))
+
+    def answers() -> bool:
+        assert process.poll() is None, (tmp_path / "log").read_text()
+        try:
+            return found.ask("GET", "/readyz")[0] == 200
+        except OSError:
+            return False
+
+    wait_until(answers)
+    yield found
+    process.kill()
+    process.wait()
+
+
+def test_the_readmes_request_gets_its_answer(running: Running) -> None:
+    """Mean and std in metres and radians from push-indicator version 1."""
+    status, answer = running.ask("POST", "/v1/predict", BODY)
+    assert status == 200
+    assert answer["model"] == {"name": "push-indicator", "version": 1}
+    assert 0.0 < answer["mean"]["x"] < 0.05
+    assert all(0.0 < value < 1.0 for value in answer["std"].values())
+
+
+def test_new_versions_are_served_without_a_restart_or_a_lost_request(running: Running) -> None:
+    """Four clients ask without a pause while three versions appear: every answer is a 200, the last from the newest."""
+    stop, failures, versions = threading.Event(), [], set()
+
+    def hammer() -> None:
+        connection = http.client.HTTPConnection("127.0.0.1", running.port, timeout=PATIENCE_S)
+        while not stop.is_set():
+            connection.request("POST", "/v1/predict", BODY, JSON)
+            response = connection.getresponse()
+            answer = json.loads(response.read())
+            if response.status != 200:
+                failures.append(answer)
+                return
+            versions.add(answer["model"]["version"])
+        connection.close()
+
+    clients = [threading.Thread(target=hammer) for _ in range(4)]
+    for client in clients:
+        client.start()
+    for _ in range(3):
+        version = running.publish()
+        wait_until(lambda expected=version: running.served_version() == expected)
+    stop.set()
+    for client in clients:
+        client.join()
+    assert failures == []
+    assert {1, 4} <= versions
+
+
+def test_a_broken_newcomer_leaves_the_old_version_serving(running: Running, tmp_path: Path) -> None:
+    """The alias moved to a version that does not verify: the old one answers, and readiness names the file."""
+    elsewhere = Registry(tmp_path / "elsewhere")
+    shutil.copytree(running.registry.root, elsewhere.root)
+    version = publish_again(elsewhere)
+    broken = elsewhere.root / "push-indicator" / str(version)
+    (broken / "model.onnx").write_bytes(b"torn")
+    broken.rename(running.registry.root / "push-indicator" / str(version))
+    (running.registry.root / "push-indicator" / "aliases" / "champion").write_text(f"{version}\n")
+    wait_until(lambda: running.ask("GET", "/readyz")[1]["problems"])
+    status, ready = running.ask("GET", "/readyz")
+    assert status == 200
+    assert any(f"push-indicator@{version} is broken" in text and "model.onnx" in text for text in ready["problems"])
+    assert running.served_version() == 1
+
+
+def test_sigterm_finishes_the_request_that_is_running(running: Running) -> None:
+    """Half a request is on its way when the signal comes: it is answered whole, then the process ends with 0."""
+    with socket.create_connection(("127.0.0.1", running.port), timeout=PATIENCE_S) as connection:
+        head = f"POST /v1/predict HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {len(BODY)}\r\n\r\n"
+        connection.sendall(head.encode() + BODY[:10])
+        running.ask("GET", "/livez")  # what was sent before has been read
+        running.process.send_signal(signal.SIGTERM)
+        wait_until(lambda: not accepts(running.port))
+        connection.sendall(BODY[10:])
+        answer = b""
+        while part := connection.recv(65536):
+            answer += part
+    assert answer.startswith(b"HTTP/1.1 200")
+    assert b"push-indicator" in answer
+    assert running.process.wait(PATIENCE_S) == 0
+
+
+def accepts(port: int) -> bool:
+    """Whether anybody listens."""
+    try:
+        socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+    except OSError:
+        return False
+    return True

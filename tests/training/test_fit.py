@@ -1,0 +1,255 @@
+"""The training loop: the same weights from the same seed, interrupted or not, and a record of what was done."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import service
+from service.errors import DataError
+from training.data import Pushes, different_objects, read_folder
+from training.evaluate import NormalisedPushes, evaluate
+from training.fit import CHECKPOINT_FILE, CONFIG_FILE, METRICS_FILE, WEIGHTS_FILE, fit, load_run
+from training.recipes import Recipe
+
+
+@pytest.fixture(scope="module")
+def pushes(data_folder: Path) -> Pushes:
+    """The synthetic pushes of all 250 objects."""
+    return read_folder(data_folder)
+
+
+def metrics_of(run: Path) -> list[dict[str, Any]]:
+    """Every line of a run's metrics."""
+    return [json.loads(line) for line in (run / METRICS_FILE).read_text(encoding="utf-8").splitlines()]
+
+
+def weights_of(run: Path) -> bytes:
+    """A run's weights, to the bit."""
+    return (run / WEIGHTS_FILE).read_bytes()
+
+
+def interrupted(run: Path, recipe: Recipe, epochs: int, pushes: Pushes, scratch: Path) -> Path:
+    """The folder of a run of ``recipe`` that was killed right after its checkpoint at this epoch.
+
+    A run's first epochs do not know how many follow: a finished shorter run holds the very checkpoint.
+    """
+    fit(replace(recipe, epochs=epochs), pushes, scratch, quiet=True)
+    run.mkdir()
+    for name in (CHECKPOINT_FILE, METRICS_FILE):
+        shutil.copy(scratch / name, run / name)
+    config = json.loads((scratch / CONFIG_FILE).read_text(encoding="utf-8"))
+    config["recipe"] = recipe.record()
+    (run / CONFIG_FILE).write_text(json.dumps(config, indent=2, sort_keys=True) + "\n", encoding="utf-8")
+    return run
+
+
+@pytest.mark.parametrize("method", ["FCN", "FCN + CM + L2Reg"])
+def test_an_interrupted_run_ends_in_the_same_weights(
+    recipe: Recipe, pushes: Pushes, tmp_path: Path, method: str
+) -> None:
+    """Two epochs, a kill and two more give bit for bit what four epochs in one go give, metrics included."""
+    whole = replace(recipe, method=method, epochs=4)
+    fit(whole, pushes, tmp_path / "whole", quiet=True)
+    run = interrupted(tmp_path / "interrupted", whole, 2, pushes, tmp_path / "scratch")
+
+    fit(whole, pushes, run, quiet=True)
+
+    assert weights_of(run) == weights_of(tmp_path / "whole")
+    assert weights_of(run) != weights_of(tmp_path / "scratch")
+    assert metrics_of(run)[2:] == metrics_of(tmp_path / "whole")[2:]
+    assert (run / CONFIG_FILE).read_bytes() == (tmp_path / "whole" / CONFIG_FILE).read_bytes()
+
+
+def test_a_run_goes_on_from_its_checkpoint_and_drops_what_was_logged_after_it(
+    recipe: Recipe, pushes: Pushes, tmp_path: Path
+) -> None:
+    """Lines up to the checkpoint stay as they are, later ones, a half written one too, make place for new ones."""
+    run = interrupted(tmp_path / "run", recipe, 2, pushes, tmp_path / "scratch")
+    before = (run / METRICS_FILE).read_text(encoding="utf-8")
+    (run / METRICS_FILE).write_text(before + '{"epoch": 2, "nll": -99.0}\n{"epoch": 3, "nl', encoding="utf-8")
+    (run / (CHECKPOINT_FILE + ".part")).write_bytes(b"half a checkpoint")
+
+    fit(recipe, pushes, run, quiet=True)
+
+    assert (run / METRICS_FILE).read_text(encoding="utf-8").startswith(before)
+    assert [line["epoch"] for line in metrics_of(run)] == [0, 1, 2]
+    assert metrics_of(run)[2]["nll"] != -99.0
+
+
+def test_a_finished_run_started_again_stays_as_it_is(
+    recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path
+) -> None:
+    """Neither weights nor metrics change."""
+    run = tmp_path / "run"
+    shutil.copytree(indicator_run, run)
+
+    fit(recipe, pushes, run, quiet=True)
+
+    assert weights_of(run) == weights_of(indicator_run)
+    assert metrics_of(run) == metrics_of(indicator_run)
+
+
+def test_the_same_seed_gives_the_same_weights(
+    recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path
+) -> None:
+    """Nothing else is random, whatever torch's own generator was used for before."""
+    torch.manual_seed(99)
+    fit(recipe, pushes, tmp_path / "same", quiet=True)
+    fit(replace(recipe, seed=1), pushes, tmp_path / "other", quiet=True)
+
+    assert weights_of(tmp_path / "same") == weights_of(indicator_run)
+    assert weights_of(tmp_path / "other") != weights_of(indicator_run)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param({"seed": 1}, id="another seed"),
+        pytest.param({"learning_rate": 0.001}, id="another learning rate"),
+        pytest.param({"epochs": 30}, id="more epochs"),
+    ],
+)
+def test_another_recipe_in_the_same_folder_is_refused(
+    recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    """A run folder holds one run; the message names its config, and nothing in it changes."""
+    run = tmp_path / "run"
+    shutil.copytree(indicator_run, run)
+
+    with pytest.raises(DataError, match="records another run") as caught:
+        fit(replace(recipe, **change), pushes, run, quiet=True)
+
+    assert str(run / CONFIG_FILE) in str(caught.value)
+    assert {path.name: path.read_bytes() for path in run.iterdir()} == {
+        path.name: path.read_bytes() for path in indicator_run.iterdir()
+    }
+
+
+def test_other_data_in_the_same_folder_are_refused(
+    recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path
+) -> None:
+    """A run does not go on with pushes that it did not begin with."""
+    run = tmp_path / "run"
+    shutil.copytree(indicator_run, run)
+
+    with pytest.raises(DataError, match="records another run"):
+        fit(recipe, replace(pushes, digest="0" * 64), run, quiet=True)
+
+
+def test_objects_of_the_split_must_all_be_there(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """A missing object is named before anything is written."""
+    held_out = different_objects().test[7]
+    without = pushes.select([name for name in pushes.descriptors if name != held_out])
+
+    with pytest.raises(DataError, match=held_out):
+        fit(recipe, without, tmp_path / "run", quiet=True)
+
+    assert not (tmp_path / "run").exists()
+
+
+def test_every_epoch_leaves_a_line(indicator_run: Path) -> None:
+    """Likelihood and regulariser of each epoch, the error on held-out objects of some, the last among them."""
+    lines = metrics_of(indicator_run)
+
+    assert [line["epoch"] for line in lines] == [0, 1, 2]
+    assert all(np.isfinite([line["nll"], line["regulariser"]]).all() for line in lines)
+    assert [("held_out_rmse" in line) for line in lines] == [True, False, True]
+
+
+def test_the_recorded_error_is_that_of_the_final_weights(pushes: Pushes, indicator_run: Path) -> None:
+    """The last held-out figure is what evaluation finds for the weights that were saved."""
+    recipe, network, _ = load_run(indicator_run)
+    held_out = NormalisedPushes.of(pushes.select(recipe.split().test), torch.device("cpu"))
+
+    assert metrics_of(indicator_run)[-1]["held_out_rmse"] == pytest.approx(evaluate(network, held_out).rmse, rel=1e-5)
+
+
+def test_the_config_records_recipe_data_and_code(recipe: Recipe, pushes: Pushes, indicator_run: Path) -> None:
+    """Whoever finds the run knows what made it, the source of the pushes included."""
+    assert json.loads((indicator_run / CONFIG_FILE).read_text(encoding="utf-8")) == {
+        "recipe": recipe.record(),
+        "data": {"source": "synthetic pushes of a test", "sha256": pushes.digest},
+        "code_version": service.__version__,
+    }
+
+
+@pytest.mark.parametrize(("method", "regularised"), [("FCN", False), ("FCN + CM", False), ("FCN + CM + L2Reg", True)])
+def test_only_the_regularised_method_pays_for_its_masks(
+    recipe: Recipe, pushes: Pushes, tmp_path: Path, method: str, regularised: bool
+) -> None:
+    """The regulariser is a cost of FCN + CM + L2Reg and nothing elsewhere."""
+    fit(replace(recipe, method=method, epochs=1), pushes, tmp_path, quiet=True)
+
+    assert (metrics_of(tmp_path)[0]["regulariser"] > 0.0) is regularised
+
+
+def test_training_learns_what_can_be_learnt(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """On pushes that follow a simple rule the likelihood falls, and so does the error on objects never seen."""
+    fit(replace(recipe, epochs=26), pushes, tmp_path, quiet=True)
+    lines = metrics_of(tmp_path)
+
+    assert lines[-1]["nll"] < lines[0]["nll"] - 1.0
+    assert lines[-1]["held_out_rmse"] < 0.5 * lines[0]["held_out_rmse"]
+
+
+def test_padded_rows_teach_nothing(recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path) -> None:
+    """Whatever stands where an object has no push, the weights are the same."""
+    padding = pushes.valid[..., None] == 0.0
+    junk = replace(
+        pushes,
+        pushers=np.where(padding, np.float32(0.07), pushes.pushers),
+        outcomes=np.where(padding, np.float32(-0.05), pushes.outcomes),
+    )
+    assert padding.any()
+
+    fit(recipe, junk, tmp_path, quiet=True)
+
+    found, expected = load_run(tmp_path)[1].state_dict(), load_run(indicator_run)[1].state_dict()
+    assert all(torch.allclose(found[name], expected[name], atol=1e-6) for name in expected)
+
+
+def test_a_finished_run_is_loaded_whole(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """Its recipe, the very network that was fitted, and the record of its data."""
+    fitted = fit(recipe, pushes, tmp_path, quiet=True)
+    found, network, data = load_run(tmp_path)
+
+    assert found == recipe
+    assert data == {"source": pushes.source, "sha256": pushes.digest}
+    assert network.state_dict().keys() == fitted.state_dict().keys()
+    for name, value in fitted.state_dict().items():
+        assert torch.equal(network.state_dict()[name], value.cpu()), name
+
+
+def never_started(run: Path) -> None:
+    """There is no such folder."""
+    shutil.rmtree(run)
+
+
+def killed_while_training(run: Path) -> None:
+    """Weights are written at the end only."""
+    (run / WEIGHTS_FILE).unlink()
+
+
+def killed_while_saving(run: Path) -> None:
+    """The weights were being written."""
+    (run / WEIGHTS_FILE).write_bytes(weights_of(run)[:1000])
+
+
+@pytest.mark.parametrize("happened", [never_started, killed_while_training, killed_while_saving])
+def test_an_unfinished_run_is_not_loaded(indicator_run: Path, tmp_path: Path, happened: Callable[[Path], None]) -> None:
+    """The message names the run and how to finish it."""
+    run = tmp_path / "run"
+    shutil.copytree(indicator_run, run)
+    happened(run)
+
+    with pytest.raises(DataError, match=r"not a finished run.*cazsl-train fit") as caught:
+        load_run(run)
+
+    assert str(run) in str(caught.value)
