@@ -40,7 +40,7 @@ class FakePredictor:
     ) -> tuple[FloatArray, FloatArray]:
         """See ``service.predictor.Predictor``."""
         self.calls.append(pusher)
-        if self.model == FAILING and pusher[0].tolist() != np.float32(CHECKED_PUSH).tolist():
+        if self.model == FAILING and pusher[0].tolist() != np.array(CHECKED_PUSH, dtype=np.float32).tolist():
             raise PredictionError("the fake fails")
         mean = np.asarray(-pusher / 10.0, dtype=np.float32)
         if self.kind is not ContextKind.NONE and context is not None and context_index is not None:

@@ -163,8 +163,13 @@ def test_a_broken_newcomer_leaves_the_old_version_serving(running: Running, tmp_
 def test_sigterm_finishes_the_request_that_is_running(running: Running) -> None:
     """Half a request is on its way when the signal comes: it is answered whole, then the process ends with 0."""
     with socket.create_connection(("127.0.0.1", running.port), timeout=PATIENCE_S) as connection:
-        head = f"POST /v1/predict HTTP/1.1\r\nHost: x\r\nContent-Type: application/json\r\nContent-Length: {len(BODY)}\r\n\r\n"
-        connection.sendall(head.encode() + BODY[:10])
+        lines = (
+            "POST /v1/predict HTTP/1.1",
+            "Host: x",
+            "Content-Type: application/json",
+            f"Content-Length: {len(BODY)}",
+        )
+        connection.sendall("\r\n".join(lines).encode() + b"\r\n\r\n" + BODY[:10])
         running.ask("GET", "/livez")  # what was sent before has been read
         running.process.send_signal(signal.SIGTERM)
         wait_until(lambda: not accepts(running.port))

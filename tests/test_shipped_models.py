@@ -45,7 +45,7 @@ def means(model: LoadedModel, objects: list[ObjectContext], pushes: Array) -> Ar
 
 
 def test_the_first_version_is_the_papers_method_on_named_data(project_root: Path) -> None:
-    """Version 1: FCN + CM + L2Reg, 3000 epochs, 200 x 250 simulated pushes, and the card says that they are simulated."""
+    """Version 1: FCN + CM + L2Reg, 3000 epochs, 200 x 250 pushes, and its card says that they are simulated."""
     version = Registry(project_root / "models").read("push-indicator", 1)
     manifest = version.manifest
     assert (manifest.method, manifest.context_kind) == ("FCN + CM + L2Reg", ContextKind.INDICATOR)

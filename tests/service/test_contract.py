@@ -48,8 +48,8 @@ def test_descriptor_and_indicator_are_two_texts_of_one_object(descriptor: str) -
 
 def test_the_indicator_is_shape_then_weight_of_each_side() -> None:
     """The bits of 1a2B3b4c stand where the contract puts them."""
-    expected = [1, 0, 0, 0, 1, 0, 0, 0, 0] + [0, 1, 0, 0, 0, 0, 0, 1, 0] + [0, 0, 1, 0, 0, 1, 0, 0, 0]
-    expected += [0, 0, 0, 1, 0, 0, 1, 0, 0]
+    sides = ["1000 10000", "0100 00010", "0010 01000", "0001 00100"]
+    expected = [int(bit) for bit in "".join(sides).replace(" ", "")]
     assert ObjectContext.from_descriptor("1a2B3b4c").indicator().tolist() == expected
     assert ObjectContext.from_descriptor("1a2B3b4c").indicator().dtype == np.float32
 

@@ -182,7 +182,7 @@ def test_a_5000_digit_number_is_refused(client: TestClient) -> None:
 
 @pytest.mark.parametrize("content_type", ["", "text/plain", "application/x-www-form-urlencoded", "application/jsonx"])
 def test_a_body_must_be_declared_as_json(client: TestClient, content_type: str) -> None:
-    """curl's default included; the error says which header to send."""
+    """The default of curl is refused too; the error says which header to send."""
     headers = {"Content-Type": content_type}
     found = problem(send(client, json.dumps({"pusher": PUSHER}), headers), 415, "unsupported_media_type")
     assert "application/json" in found["detail"]

@@ -1,0 +1,201 @@
+"""``cazsl-train`` as a person uses it: figures and the next step on success, one line and status 1 otherwise."""
+
+import shutil
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+import torch
+from click.testing import CliRunner, Result
+
+import service
+from service.registry import Registry
+from training.cli import main
+from training.data import (
+    DATASET_FILE,
+    OUTCOME_SUFFIX,
+    PUSHER_SUFFIX,
+    declare_dataset,
+    different_objects,
+    omnipush_descriptors,
+    read_folder,
+)
+from training.evaluate import NormalisedPushes, evaluate
+from training.fit import WEIGHTS_FILE, load_run
+from training.recipes import Recipe
+from training.simulate import SimulationPlan
+
+
+def cazsl_train(*arguments: str | Path) -> Result:
+    """Run the command line in this process."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def sole_line(result: Result) -> str:
+    """The one line of an error that was meant for a person."""
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("Error: ")
+    return line
+
+
+def test_help_lists_the_commands() -> None:
+    """Each with what it does, and the four steps in order."""
+    result = cazsl_train("--help")
+
+    assert result.exit_code == 0
+    for command in ("simulate", "fit", "evaluate", "publish"):
+        assert f"\n  {command} " in result.output, command
+    assert result.output.index("cazsl-train simulate") < result.output.index("cazsl-train publish")
+
+
+@pytest.mark.parametrize("command", ["simulate", "fit", "evaluate", "publish"])
+def test_every_command_explains_itself(command: str) -> None:
+    """-h gives its usage and the option that names the data."""
+    result = cazsl_train(command, "-h")
+
+    assert result.exit_code == 0
+    assert result.output.startswith("Usage: ")
+    assert "--data" in result.output
+
+
+def test_the_version_is_the_package_s() -> None:
+    """One number for trainer and service."""
+    assert cazsl_train("--version").output == f"cazsl-train, version {service.__version__}\n"
+
+
+def test_simulate_goes_on_where_it_stopped_and_describes_the_dataset(data_folder: Path, tmp_path: Path) -> None:
+    """Two objects of 250 are left to simulate; the whole folder is then told of, beside the published statistics."""
+    folder, left = tmp_path / "abs", omnipush_descriptors()[3:5]
+    declare_dataset(folder, SimulationPlan(omnipush_descriptors(), pushes_per_object=2, seed=4).declaration())
+    for path in data_folder.glob("*.npy"):
+        if not path.name.startswith(left):
+            shutil.copy(path, folder / path.name)
+
+    result = cazsl_train("simulate", "--data", folder, "--pushes", "2", "--seed", "4", "--threads", "1")
+
+    found = read_folder(folder)
+    assert result.exit_code == 0
+    assert f"{found.source}: 250 objects, {found.count} pushes" in result.stdout
+    assert found.digest in result.stdout
+    assert "object angle_rad" in result.stdout
+    assert result.stdout.endswith("next: cazsl-train fit push-indicator\n")
+    assert found.valid[[found.descriptors.index(descriptor) for descriptor in left]].sum(axis=1).tolist() == [2, 2]
+
+
+def test_simulate_refuses_a_folder_of_other_pushes(data_folder: Path) -> None:
+    """One line names the folder; what is there is not touched."""
+    before = read_folder(data_folder).digest
+
+    assert str(data_folder) in sole_line(cazsl_train("simulate", "--data", data_folder, "--pushes", "1"))
+    assert read_folder(data_folder).digest == before
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "many"])
+def test_simulate_refuses_an_impossible_number_of_pushes(tmp_path: Path, count: str) -> None:
+    """It is a wrong use of the command, status 2, and nothing is made."""
+    result = cazsl_train("simulate", "--data", tmp_path / "abs", "--pushes", count)
+
+    assert result.exit_code == 2
+    assert "--pushes" in result.stderr
+    assert not (tmp_path / "abs").exists()
+
+
+def test_fit_without_data_names_the_folder(tmp_path: Path) -> None:
+    """One line says what is missing and how to get it; no run is begun."""
+    run = tmp_path / "run"
+    line = sole_line(cazsl_train("fit", "push-indicator", "--data", tmp_path / "nowhere", "--run", run))
+
+    assert str(tmp_path / "nowhere") in line
+    assert "make data" in line
+    assert not run.exists()
+
+
+def test_fit_of_an_unknown_recipe_lists_those_that_exist(data_folder: Path, tmp_path: Path) -> None:
+    """One line has the names that would have worked."""
+    line = sole_line(cazsl_train("fit", "push-visual", "--data", data_folder, "--run", tmp_path / "run"))
+
+    assert "push-indicator, push-none" in line
+
+
+def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: Path) -> None:
+    """A recipe by path leaves a finished run and says what comes next."""
+    path, run = tmp_path / "mine.toml", tmp_path / "run"
+    fields = asdict(replace(recipe, epochs=1))
+    path.write_text("".join(f"{key} = {value!r}\n" for key, value in fields.items()), encoding="utf-8")
+
+    result = cazsl_train("fit", path, "--data", data_folder, "--run", run)
+
+    assert result.exit_code == 0
+    assert result.stdout == f"weights and metrics are in {run}; next: cazsl-train evaluate {run}\n"
+    assert load_run(run)[0] == replace(recipe, epochs=1)
+
+
+def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, indicator_run: Path) -> None:
+    """Method, data and figures, under their names, and the next step."""
+    held_out = NormalisedPushes.of(read_folder(data_folder).select(different_objects().test), torch.device("cpu"))
+    figures = evaluate(load_run(indicator_run)[1], held_out)
+
+    result = cazsl_train("evaluate", indicator_run, "--data", data_folder)
+
+    title, names, numbers, following = result.stdout.splitlines()
+    assert result.exit_code == 0
+    assert title == "FCN + CM + L2Reg, 3 epochs, different-objects: 50 held-out objects of synthetic pushes of a test"
+    assert names.split() == "RMSE STD Dist. (mm) NLL 50 % cov. 90 % cov. 95 % cov.".split()
+    assert numbers.split()[:4] == [
+        f"{figures.rmse:.4f}",
+        f"{figures.std:.4f}",
+        f"{figures.distance_mm:.2f}",
+        f"{figures.nll:.3f}",
+    ]
+    assert numbers.split()[4::2] == [f"{100 * share:.1f}" for share in figures.coverage.values()]
+    assert len(names) == len(numbers)
+    assert following == f"next: cazsl-train publish {indicator_run}"
+
+
+@pytest.mark.parametrize("command", ["evaluate", "publish"])
+def test_an_unfinished_run_is_named(data_folder: Path, indicator_run: Path, tmp_path: Path, command: str) -> None:
+    """One line names the run and the command that finishes it."""
+    run = tmp_path / "run"
+    shutil.copytree(indicator_run, run)
+    (run / WEIGHTS_FILE).unlink()
+
+    line = sole_line(cazsl_train(command, run, "--data", data_folder))
+    assert str(run) in line
+    assert "cazsl-train fit" in line
+
+
+def test_publish_makes_a_version_and_its_champion(data_folder: Path, none_run: Path, tmp_path: Path) -> None:
+    """It prints what was published and how to look at it; without alias only the version appears."""
+    registry = Registry(tmp_path / "models")
+    first = cazsl_train("publish", none_run, "--data", data_folder, "--registry", registry.root)
+    second = cazsl_train("publish", none_run, "--data", data_folder, "--registry", registry.root, "--no-alias")
+
+    assert (first.exit_code, second.exit_code) == (0, 0)
+    assert first.stdout.splitlines() == [
+        f"published push-none@1 in {registry.root}",
+        "push-none@champion is version 1 now",
+        "next: cazsl models show push-none@1",
+    ]
+    assert second.stdout.splitlines() == [
+        f"published push-none@2 in {registry.root}",
+        "next: cazsl models show push-none@2",
+    ]
+    assert registry.versions("push-none") == [1, 2]
+    assert registry.aliases("push-none") == {"champion": 1}
+
+
+def test_publish_with_other_data_is_refused(data_folder: Path, none_run: Path, tmp_path: Path) -> None:
+    """Figures on data that the run was not trained on must not get into its card; nothing is published."""
+    other, first = tmp_path / "other", omnipush_descriptors()[0]
+    shutil.copytree(data_folder, other)
+    for suffix in (PUSHER_SUFFIX, OUTCOME_SUFFIX):
+        shutil.copy(other / (omnipush_descriptors()[1] + suffix), other / (first + suffix))
+    assert (other / DATASET_FILE).read_bytes() == (data_folder / DATASET_FILE).read_bytes()
+
+    line = sole_line(cazsl_train("publish", none_run, "--data", other, "--registry", tmp_path / "models"))
+    assert str(other) in line
+    assert str(none_run) in line
+    assert "--data" in line
+    assert not (tmp_path / "models").exists()
