@@ -15,6 +15,20 @@ from service.manifest import ModelReference
 REACH_M = 1.0  # a push is 50 mm: further from the object nothing can touch it
 _INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 
+_MODEL_EXAMPLE = {
+    "name": "push-indicator",
+    "method": "FCN + CM + L2Reg",
+    "context_kind": "indicator",
+    "versions": [1, 2],
+    "aliases": {"champion": 2},
+}
+_FAULT_EXAMPLE = {
+    "where": "body.context.indicator side 3",
+    "received": "2 shapes (1, 4)",
+    "accepted": "exactly one shape of 1, 2, 3, 4",
+}
+_DETAIL_EXAMPLE = "{where}: received {received}; accepted is {accepted}".format(**_FAULT_EXAMPLE)
+
 
 class _Body(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
@@ -23,10 +37,18 @@ class _Body(BaseModel):
 class PusherBody(_Body):
     """The pusher tip's pose in the object frame, before the push."""
 
-    x: Annotated[float, Field(ge=-REACH_M, le=REACH_M, description="position along the object's x axis, in m")]
-    y: Annotated[float, Field(ge=-REACH_M, le=REACH_M, description="position along the object's y axis, in m")]
+    x: Annotated[
+        float, Field(ge=-REACH_M, le=REACH_M, description="position along the object's x axis, in m", examples=[-0.075])
+    ]
+    y: Annotated[
+        float, Field(ge=-REACH_M, le=REACH_M, description="position along the object's y axis, in m", examples=[0.0])
+    ]
     angle: Annotated[
-        float, Field(description="direction of the push from the object's x axis, in rad; any real number, wrapped")
+        float,
+        Field(
+            description="direction of the push from the object's x axis, in rad; any real number, wrapped",
+            examples=[0.0],
+        ),
     ]
 
 
@@ -82,7 +104,10 @@ class PredictRequest(_Body):
 
     pusher: PusherBody
     context: Annotated[
-        ContextBody | None, Field(description="the object; left out for models that know nothing of it")
+        ContextBody | None,
+        Field(
+            description="the object; left out for models that know nothing of it", examples=[{"descriptor": "1a2b3c4a"}]
+        ),
     ] = None
     model: Annotated[
         str | None,
@@ -141,7 +166,9 @@ class PredictResponse(_Body):
     """A Gaussian over the object's pose after the push."""
 
     model: ModelVersionBody
-    frame: Annotated[Literal["object"], Field(description="the object's pose before the push")] = "object"
+    frame: Annotated[Literal["object"], Field(description="the object's pose before the push", examples=["object"])] = (
+        "object"
+    )
     mean: MeanBody
     std: StdBody
 
@@ -171,7 +198,7 @@ class ModelBody(_Body):
 class ModelsBody(_Body):
     """Every model that is served."""
 
-    models: Annotated[list[ModelBody], Field(description="sorted by name")]
+    models: Annotated[list[ModelBody], Field(description="sorted by name", examples=[[_MODEL_EXAMPLE]])]
 
 
 class ModelVersionDetailBody(_Body):
@@ -182,25 +209,31 @@ class ModelVersionDetailBody(_Body):
     aliases: Annotated[list[str], Field(description="aliases that mean this version now", examples=[["champion"]])]
     manifest: Annotated[
         dict[str, Any],
-        Field(description="manifest.json as published: method, data, metrics, tensors with units, digests"),
+        Field(
+            description="manifest.json as published: method, data, metrics, tensors with units, digests",
+            examples=[{"format": 1, "name": "push-indicator", "version": 1, "method": "FCN + CM + L2Reg"}],
+        ),
     ]
-    card: Annotated[str, Field(description="the model card, Markdown")]
+    card: Annotated[str, Field(description="the model card, Markdown", examples=["# push-indicator\n"])]
 
 
 class LiveBody(_Body):
     """The process answers."""
 
-    live: Annotated[Literal[True], Field(description="always true")] = True
+    live: Annotated[Literal[True], Field(description="always true", examples=[True])] = True
 
 
 class ReadyBody(_Body):
     """Whether predictions can be answered, and what is wrong with the registry where something is."""
 
-    ready: Annotated[bool, Field(description="at least one model passed all checks and is served")]
+    ready: Annotated[bool, Field(description="at least one model passed all checks and is served", examples=[True])]
     models: Annotated[dict[str, list[int]], Field(description="versions served", examples=[{"push-indicator": [1]}])]
     problems: Annotated[
         list[str],
-        Field(description="why something that is published is not served; what was served before goes on being served"),
+        Field(
+            description="why something published is not served; what was served before goes on being served",
+            examples=[["push-indicator@2 is broken and not served: model.onnx: the sha256 differs"]],
+        ),
     ]
 
 
@@ -221,6 +254,15 @@ class ProblemBody(_Body):
     title: Annotated[str, Field(description="the kind of problem in words", examples=["The request is not valid"])]
     status: Annotated[int, Field(description="the HTTP status", examples=[422])]
     code: Annotated[str, Field(description="stable, for programs", examples=["invalid_request"])]
-    detail: Annotated[str, Field(description="what was received, what is accepted and where")]
-    errors: Annotated[list[FaultBody], Field(description="each fault, where the request has several")] = []
-    request_id: Annotated[str, Field(description="as in the X-Request-ID header and in the log")]
+    detail: Annotated[
+        str, Field(description="what was received, what is accepted and where", examples=[_DETAIL_EXAMPLE])
+    ]
+    errors: Annotated[
+        list[FaultBody], Field(description="each fault of the request, ten at most", examples=[[_FAULT_EXAMPLE]])
+    ] = []
+    request_id: Annotated[
+        str,
+        Field(
+            description="as in the X-Request-ID header and in the log", examples=["3f0c7d2ab4e94c7f9f5d2b1a6c8e0d11"]
+        ),
+    ]

@@ -142,7 +142,7 @@ def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, 
     title, names, numbers, following = result.stdout.splitlines()
     assert result.exit_code == 0
     assert title == "FCN + CM + L2Reg, 3 epochs, different-objects: 50 held-out objects of synthetic pushes of a test"
-    assert names.split() == "RMSE STD Dist. (mm) NLL 50 % cov. 90 % cov. 95 % cov.".split()
+    assert " ".join(names.split()) == "RMSE STD Dist. (mm) NLL 50 % cov. 90 % cov. 95 % cov."
     assert numbers.split()[:4] == [
         f"{figures.rmse:.4f}",
         f"{figures.std:.4f}",
