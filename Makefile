@@ -43,7 +43,7 @@ check: $(VENV)/dev ## format, lint, types, docstrings, import directions, OpenAP
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
-	$(BIN)/interrogate --quiet service training tests
+	$(BIN)/interrogate --quiet service training tests benchmarks
 	$(BIN)/pytest --quiet tests/test_layers.py tests/test_openapi.py
 	$(BIN)/hadolint Dockerfile
 

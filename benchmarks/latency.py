@@ -65,6 +65,7 @@ def empty_app() -> FastAPI:
 
     @app.post("/v1/predict")
     async def predict(body: PredictRequest) -> PredictResponse:
+        """Predict nothing."""
         return constant
 
     return app

@@ -41,6 +41,7 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        """Look at the registry before the first request and from then on."""
         await asyncio.to_thread(models.refresh)
         poll = asyncio.create_task(_poll(models, settings.poll_interval_s))
         yield

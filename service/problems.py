@@ -27,26 +27,29 @@ _HTTP_CODES: Final = {
 
 def install_problem_handlers(app: FastAPI) -> None:
     """Answer every failure of the app as a problem."""
+    app.add_exception_handler(CazslError, _on_error)
+    app.add_exception_handler(RequestValidationError, _on_validation)
+    app.add_exception_handler(HTTPException, _on_http)
 
-    async def on_error(request: Request, error: Exception) -> Response:
-        return problem_response(request.scope, cast(CazslError, error))
 
-    async def on_validation(request: Request, error: Exception) -> Response:
-        faults = [_fault(found) for found in cast(RequestValidationError, error).errors()[:MAX_FAULTS]]
-        return problem_response(request.scope, InvalidRequestError(faults))
+async def _on_error(request: Request, error: Exception) -> Response:
+    return problem_response(request.scope, cast(CazslError, error))
 
-    async def on_http(request: Request, raised: Exception) -> Response:
-        error = cast(HTTPException, raised)
-        if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
-            return problem_response(request.scope, BodyTooLargeError(request.app.state.settings.max_body_bytes))
-        phrase = HTTPStatus(error.status_code).phrase
-        code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
-        detail = "see /docs for the routes and their methods"
-        return _render(request.scope, error.status_code, code, title, detail, (), error.headers)
 
-    app.add_exception_handler(CazslError, on_error)
-    app.add_exception_handler(RequestValidationError, on_validation)
-    app.add_exception_handler(HTTPException, on_http)
+async def _on_validation(request: Request, error: Exception) -> Response:
+    faults = [_fault(found) for found in cast(RequestValidationError, error).errors()[:MAX_FAULTS]]
+    return problem_response(request.scope, InvalidRequestError(faults))
+
+
+async def _on_http(request: Request, raised: Exception) -> Response:
+    """What the framework refuses by itself: routes, methods, bodies that grew over the limit."""
+    error = cast(HTTPException, raised)
+    if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
+        return problem_response(request.scope, BodyTooLargeError(request.app.state.settings.max_body_bytes))
+    phrase = HTTPStatus(error.status_code).phrase
+    code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
+    detail = "see /docs for the routes and their methods"
+    return _render(request.scope, error.status_code, code, title, detail, (), error.headers)
 
 
 def problem_response(scope: Scope, error: CazslError) -> Response:

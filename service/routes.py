@@ -59,6 +59,7 @@ class StrictJsonRoute(APIRoute):
         takes_body = self.body_field is not None
 
         async def strict(request: Request) -> Response:
+            """Refuse what is no JSON before the framework sees it."""
             if not takes_body:
                 return await handler(request)
             if not _is_json(request.headers.get("content-type", "")):

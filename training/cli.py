@@ -10,7 +10,7 @@ import torch
 
 import service
 from service.errors import CazslError
-from service.manifest import DEFAULT_ALIAS
+from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
 from training import export, fit, recipes, simulate
 from training.data import omnipush_descriptors, read_folder
@@ -97,7 +97,7 @@ def fit_recipe(recipe: str, folder: Path, run: Path | None) -> None:
     """Train a RECIPE: the name of one that ships (push-indicator, push-none) or a .toml file."""
     run = run or RUNS / Path(recipe).stem
     fit.fit(recipes.read_recipe(recipe), read_folder(folder), run)
-    click.echo(f"weights and metrics are in {run}; next: cazsl-train evaluate {run}")
+    click.echo(f"weights and metrics are in {run}; next: cazsl-train evaluate {run}{_data_words(folder)}")
 
 
 @main.command("evaluate")
@@ -113,7 +113,7 @@ def evaluate(run: Path, folder: Path) -> None:
         f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {pushes.source}"
     )
     click.echo(_figures(found))
-    click.echo(f"next: cazsl-train publish {run}")
+    click.echo(f"next: cazsl-train publish {run}{_data_words(folder)}")
 
 
 @main.command("publish")
@@ -127,6 +127,8 @@ def publish(run: Path, folder: Path, registry: Path, alias: str, no_alias: bool)
     """Publish a finished RUN as the next version of its model; a running service picks it up by itself."""
     recipe, network, trained_on = fit.load_run(run)
     pushes = read_folder(folder)
+    if not is_alias(alias):
+        raise click.ClickException("an alias is of lower-case letters, digits, '-' and '_', and not a number")
     if pushes.digest != trained_on["sha256"]:
         raise click.ClickException(f"{folder} is not the data that {run} was trained on; name that with --data")
     store = Registry(registry)
@@ -136,6 +138,11 @@ def publish(run: Path, folder: Path, registry: Path, alias: str, no_alias: bool)
         store.point_alias(manifest.name, alias, manifest.version)
         click.echo(f"{manifest.name}@{alias} is version {manifest.version} now")
     click.echo(f"next: cazsl models show {manifest.name}@{manifest.version}")
+
+
+def _data_words(folder: Path) -> str:
+    """The option that the next command needs as well."""
+    return "" if folder == DEFAULT_DATA else f" --data {folder}"
 
 
 def _figures(found: Evaluation) -> str:

@@ -165,7 +165,7 @@ def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
     path = folder / DATASET_FILE
     text = json.dumps(declaration, indent=2, sort_keys=True) + "\n"
     if path.exists():
-        if path.read_text(encoding="utf-8") != text:
+        if path.read_bytes() != text.encode():
             raise DataError(f"{path} declares another dataset; give an empty folder, or remove this one")
     elif any(folder.glob("*.npy")):
         raise DataError(f"{folder} already holds pushes that nothing declares as simulated; give an empty folder")
@@ -204,15 +204,17 @@ def _read_array(path: Path, digest: "hashlib._Hash") -> npt.NDArray[np.float64]:
     digest.update(content)
     try:
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+    except Exception as error:  # numpy parses the header with whatever it finds: no list of errors is complete
         raise DataError(f"{path} is not a whole .npy file of numbers; fetch or simulate this object again") from error
     if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
         shape = getattr(array, "shape", "no array")
         raise DataError(f"{path} has shape {shape}; expected [pushes, 3], one row per push: x_m, y_m, angle_rad")
     if array.dtype.kind != "f":
         raise DataError(f"{path} holds {array.dtype}; expected float32 or float64")
-    if not np.isfinite(array).all():
-        row = int(np.argwhere(~np.isfinite(array))[0, 0])
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(array.astype(np.float32))  # as it will be used
+    if not finite.all():
+        row = int(np.argwhere(~finite)[0, 0])
         raise DataError(f"{path} row {row} is not finite; remove that push from both files of the object")
     return array.astype(np.float64)
 

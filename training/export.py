@@ -184,6 +184,8 @@ def publish(recipe: Recipe, network: PushNetwork, pushes: Pushes, registry: Regi
     split = recipe.split()
     train, held_out = pushes.select(split.train), pushes.select(split.test)
     found = evaluate(network, NormalisedPushes.of(held_out, torch.device("cpu")))
+    if not math.isfinite(found.nll):
+        raise PublishError("the network's held-out figures are not finite; nothing was published")
     model = export_onnx(network, kind)
     parity = check_parity(network, model, kind)
     draft = Manifest(

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 import torch
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 from tqdm import tqdm
@@ -74,7 +75,9 @@ def fit(recipe: Recipe, pushes: Pushes, folder: Path, quiet: bool = False) -> Pu
                 metrics.flush()
                 _save_checkpoint(folder, network, adam, epoch + 1)
                 saved_at = time.monotonic()
-    save_file({name: value.cpu() for name, value in network.state_dict().items()}, folder / WEIGHTS_FILE)
+    part = folder / (WEIGHTS_FILE + ".part")
+    save_file({name: value.cpu() for name, value in network.state_dict().items()}, part)
+    part.replace(folder / WEIGHTS_FILE)
     return network
 
 
@@ -109,8 +112,10 @@ def load_run(folder: Path) -> tuple[Recipe, PushNetwork, dict[str, Any]]:
     try:
         config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
         weights: dict[str, Tensor] = load_file(folder / WEIGHTS_FILE)
-    except FileNotFoundError as error:
-        raise DataError(f"{folder} is not a finished run; finish it with: cazsl-train fit --run {folder}") from error
+    except (OSError, ValueError, SafetensorError) as error:
+        raise DataError(
+            f"{folder} is not a finished run; finish it with: cazsl-train fit RECIPE --run {folder}"
+        ) from error
     recipe = parse_recipe_record(config["recipe"], str(folder / CONFIG_FILE))
     network = PushNetwork(recipe.network().masked)
     network.load_state_dict(weights)

@@ -31,7 +31,7 @@ CIRCLE_RADIUS_M: Final = 0.029  # a half disc on the core's face, as wide as the
 CONCAVE_DEPTH_M: Final = 0.034
 CONCAVE_BITE_HALF_WIDTH_M: Final = 0.025  # of the circular arc that is cut out of the outer face
 CONCAVE_BITE_DEPTH_M: Final = 0.014
-CONCAVE_SLABS: Final = 8  # convex pieces that a concave side is cut into
+CONCAVE_SLABS: Final = 8  # convex pieces under the bite; a horn on either side makes two more
 ARC_CORNERS: Final = 24  # corners of a half disc
 
 WEIGHT_RADIUS_M: Final = 0.010

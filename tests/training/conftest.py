@@ -4,6 +4,7 @@ This file is loaded even where torch is absent, so whatever needs torch is impor
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,6 +23,17 @@ def pytest_pycollect_makemodule(module_path: Path) -> None:
     """Skip this folder where the trainer's extra is not installed: a service needs neither torch nor MuJoCo."""
     for package in ("torch", "mujoco", "onnxscript"):
         pytest.importorskip(package, reason=f"{module_path.parent.name} needs the extra 'training': no {package}")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Keep torch on one thread: these batches gain nothing from more, and on busy cores threads wait for each other."""
+    import torch
+
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="session")

@@ -128,7 +128,7 @@ def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: P
     result = cazsl_train("fit", path, "--data", data_folder, "--run", run)
 
     assert result.exit_code == 0
-    assert result.stdout == f"weights and metrics are in {run}; next: cazsl-train evaluate {run}\n"
+    assert result.stdout == f"weights and metrics are in {run}; next: cazsl-train evaluate {run} --data {data_folder}\n"
     assert load_run(run)[0] == replace(recipe, epochs=1)
 
 
@@ -151,7 +151,7 @@ def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, 
     ]
     assert numbers.split()[4::2] == [f"{100 * share:.1f}" for share in figures.coverage.values()]
     assert len(names) == len(numbers)
-    assert following == f"next: cazsl-train publish {indicator_run}"
+    assert following == f"next: cazsl-train publish {indicator_run} --data {data_folder}"
 
 
 @pytest.mark.parametrize("command", ["evaluate", "publish"])

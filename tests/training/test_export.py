@@ -377,3 +377,29 @@ def test_a_network_that_diverged_is_not_published(pushes: Pushes, none_run: Path
         publish(replace(recipe, name="diverged"), network, pushes, Registry(tmp_path / "models"))
 
     assert not (tmp_path / "models").exists()
+
+
+class Restless(PushNetwork):
+    """A network that never gives the same answer twice: no graph can agree with it."""
+
+    def __init__(self) -> None:
+        super().__init__(masked=False)
+        self.calls = 0
+
+    def gaussian(self, pusher: torch.Tensor, mask: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+        """The Gaussian, further to the right with every call."""
+        self.calls += 1
+        mean, log_std = super().gaussian(pusher, mask)
+        return mean + 0.1 * self.calls, log_std
+
+
+def test_a_graph_that_disagrees_with_its_network_is_not_published(
+    pushes: Pushes, none_run: Path, tmp_path: Path
+) -> None:
+    """Parity is checked before anything becomes visible."""
+    recipe, _, _ = load_run(none_run)
+
+    with pytest.raises(PublishError, match="onnxruntime differs from torch"):
+        publish(recipe, Restless(), pushes, Registry(tmp_path / "models"))
+
+    assert not (tmp_path / "models").exists()

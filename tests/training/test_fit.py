@@ -15,7 +15,8 @@ import service
 from service.errors import DataError
 from training.data import Pushes, different_objects, read_folder
 from training.evaluate import NormalisedPushes, evaluate
-from training.fit import CHECKPOINT_FILE, CONFIG_FILE, METRICS_FILE, WEIGHTS_FILE, fit, load_run
+from training.fit import CHECKPOINT_FILE, CONFIG_FILE, METRICS_FILE, WEIGHTS_FILE, fit, load_run, train_epoch
+from training.networks import PushNetwork
 from training.recipes import Recipe
 
 
@@ -192,11 +193,47 @@ def test_only_the_regularised_method_pays_for_its_masks(
 
 def test_training_learns_what_can_be_learnt(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
     """On pushes that follow a simple rule the likelihood falls, and so does the error on objects never seen."""
-    fit(replace(recipe, epochs=10), pushes, tmp_path, quiet=True)
+    fit(replace(recipe, epochs=20), pushes, tmp_path, quiet=True)
     lines = metrics_of(tmp_path)
 
     assert lines[-1]["nll"] < lines[0]["nll"] - 1.0
     assert lines[-1]["held_out_rmse"] < 0.5 * lines[0]["held_out_rmse"]
+
+
+def test_an_epoch_s_batches_depend_on_seed_and_number_alone(recipe: Recipe, pushes: Pushes) -> None:
+    """The same epoch again teaches the same, another epoch or seed has the objects in another order."""
+    train = NormalisedPushes.of(pushes.select(different_objects().train), torch.device("cpu"))
+
+    def taught(seed: int, epoch: int) -> bytes:
+        torch.manual_seed(0)
+        network = PushNetwork(masked=True)
+        adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate)
+        train_epoch(network, adam, train, replace(recipe, seed=seed), epoch)
+        return network.last.weight.detach().numpy().tobytes()
+
+    assert taught(seed=0, epoch=5) == taught(seed=0, epoch=5)
+    assert len({taught(seed=0, epoch=5), taught(seed=0, epoch=6), taught(seed=1, epoch=5)}) == 3
+
+
+@pytest.mark.parametrize(
+    ("batch_objects", "steps"),
+    [
+        pytest.param(64, 4, id="64 objects a batch: three and a rest of 8"),
+        pytest.param(200, 1, id="all at once"),
+        pytest.param(1000, 1, id="more than there are"),
+        pytest.param(67, 3, id="an odd number of objects"),
+    ],
+)
+def test_an_epoch_meets_every_object_in_batches(recipe: Recipe, pushes: Pushes, batch_objects: int, steps: int) -> None:
+    """A mini-batch is that many objects with all their pushes, and the last one is what is left."""
+    train = NormalisedPushes.of(pushes.select(different_objects().train), torch.device("cpu"))
+    network = PushNetwork(masked=True)
+    adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate)
+
+    figures = train_epoch(network, adam, train, replace(recipe, batch_objects=batch_objects), 0)
+
+    assert [int(state["step"]) for state in adam.state.values()] == [steps] * len(list(network.parameters()))
+    assert np.isfinite(figures).all()
 
 
 def test_padded_rows_teach_nothing(recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path) -> None:

@@ -166,3 +166,15 @@ def test_methods_say_what_they_want_of_the_object(name: str, kind: ContextKind, 
     method = METHODS[name]
 
     assert (method.name, method.context_kind, method.regularised) == (name, kind, regularised)
+
+
+def test_pushes_by_object_and_pushes_with_their_own_masks_are_one_function() -> None:
+    """Fitted is the mask in the weights, per object; served is the mask on the activations, per push."""
+    torch.manual_seed(5)
+    network = PushNetwork(masked=True)
+    pusher, context = torch.randn(4, 7, 3), (torch.rand(4, 36) < 0.25).float()
+    by_object = network(pusher, context)
+    assert by_object.mask is not None
+    mean, log_std = network.gaussian(pusher.reshape(28, 3), by_object.mask.repeat_interleave(7, dim=0))
+    torch.testing.assert_close(mean.reshape(4, 7, 3), by_object.mean)
+    torch.testing.assert_close(log_std.reshape(4, 7, 3), by_object.log_std)

@@ -1,5 +1,6 @@
 """Recipes: one small file per model, everything that its training depends on besides the data."""
 
+import math
 import tomllib
 from dataclasses import asdict, dataclass, fields
 from importlib import resources
@@ -7,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from service.errors import DataError
+from service.manifest import is_name
 from training.data import Split, different_objects
 from training.networks import METHODS, Method
 
@@ -49,12 +51,12 @@ def read_recipe(name_or_path: str) -> Recipe:
     path = Path(name_or_path)
     shipped = resources.files("training.recipes").joinpath(f"{path.name}.toml")
     if path.suffix == ".toml" and path.is_file():
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
     elif path.name == name_or_path and shipped.is_file():
-        text = shipped.read_text(encoding="utf-8")
+        content = shipped.read_bytes()
     else:
         raise DataError(f"there is no recipe {name_or_path}; give one of {', '.join(recipe_names())} or a .toml file")
-    return parse_recipe(text, name_or_path)
+    return parse_recipe(content.decode("utf-8", "replace"), name_or_path)
 
 
 def parse_recipe(text: str, where: str) -> Recipe:
@@ -88,8 +90,13 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
     if values["set_up"] not in SET_UPS:
         raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(SET_UPS)}")
     for key in ("epochs", "batch_objects", "learning_rate"):
-        if values[key] <= 0:
+        if not 0 < values[key] < math.inf:
             raise DataError(f"{where}: {key} is {values[key]}; expected more than 0")
+    for key in ("lambda_1", "lambda_2", "seed"):
+        if not 0 <= values[key] < math.inf:
+            raise DataError(f"{where}: {key} is {values[key]}; expected 0 or more")
+    if not is_name(values["name"]):
+        raise DataError(f"{where}: name is {values['name']!r}; expected lower-case letters, digits, '-' and '_'")
     return Recipe(**values)
 
 
