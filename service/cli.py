@@ -165,7 +165,9 @@ def predict(descriptor: str | None, pose: tuple[float, float, float], reference:
         raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
     push, thing = request.push(), request.object_context()
     model = _load(registry, reference or DEFAULT_MODELS[context_kind_of(thing)])
-    click.echo(PredictResponse.of(model, model.predict_push(push, thing)).model_dump_json(indent=2))
+    gaussian = model.predict_push(push, thing)
+    answer = PredictResponse.of(model.manifest.name, model.manifest.version, gaussian)
+    click.echo(answer.model_dump_json(indent=2))
 
 
 def _load(registry: Path, reference: str) -> LoadedModel:

@@ -140,7 +140,8 @@ class Registry:
         """Make the next version visible, whole, and return its manifest; the draft's version and files are replaced.
 
         Raises:
-            PublishError: nothing became visible.
+            PublishError, BrokenModelError: the disk refused, or the draft breaks the contract; nothing became visible.
+            RegistryError: the version is visible, and the history could not be written.
         """
         contents = {MODEL_FILE: model, CARD_FILE: card.encode()}
         digests = {file: FileDigest.of(content) for file, content in contents.items()}
@@ -152,13 +153,13 @@ class Registry:
             for file, content in contents.items():
                 _write_synced(staging / file, content)
             manifest = self._make_visible(staging, replace(draft, files=digests))
-            self._record(draft.name, "publish", None, manifest.version)
         except OSError as error:
             raise PublishError(
                 f"{draft.name}: {error.strerror or 'the disk refused'}; nothing was published"
             ) from error
         finally:
             shutil.rmtree(staging, ignore_errors=True)
+        self._record(draft.name, "publish", None, manifest.version)
         return manifest
 
     def point_alias(self, name: str, alias: str, version: int) -> None:
@@ -179,10 +180,11 @@ class Registry:
             _write_synced(part, f"{version}\n".encode())
             part.replace(folder / alias)
             _sync_folder(folder)
-            self._record(name, f"alias {alias}", before, version)
         except OSError as error:
-            part.unlink(missing_ok=True)
-            raise RegistryError(f"{name}@{alias}: {error.strerror or 'the disk refused'}") from error
+            with contextlib.suppress(OSError):
+                part.unlink(missing_ok=True)
+            raise RegistryError(f"{name}@{alias}: {error.strerror or 'the disk refused'}; it stays") from error
+        self._record(name, f"alias {alias}", before, version)
 
     def fingerprint(self) -> tuple[tuple[str, int, int], ...]:
         """Changes whenever a version or an alias appears, moves or goes: one stat of two folders per model.
@@ -229,11 +231,16 @@ class Registry:
             "from": before,
             "to": after,
         }
-        descriptor = os.open(self._folder(name) / HISTORY_FILE, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        with os.fdopen(descriptor, "wb") as file:
-            file.write((json.dumps(line) + "\n").encode())
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            descriptor = os.open(self._folder(name) / HISTORY_FILE, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            with os.fdopen(descriptor, "wb") as file:
+                file.write((json.dumps(line) + "\n").encode())
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise RegistryError(
+                f"{name}: {what} of {after} is done, and {HISTORY_FILE} could not be written"
+            ) from error
 
     def _read_vouched(self, path: Path, limit: int, digest: FileDigest) -> bytes:
         content = self._read_file(path, limit)

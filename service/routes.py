@@ -85,8 +85,9 @@ async def predict(request: Request, body: PredictRequest) -> PredictResponse:
     """Predict one push. Runs in the event loop on purpose: it takes less time than handing it to a thread."""
     context, reference, models = body.object_context(), body.reference(), snapshot_of(request)
     model = models.find_default(context_kind_of(context)) if reference is None else models.find(reference)
-    request.state.log = {"model": model.manifest.name, "version": model.manifest.version}
-    return PredictResponse.of(model, model.predict_push(body.push(), context))
+    name, version = model.manifest.name, model.manifest.version
+    request.state.log = {"model": name, "version": version}
+    return PredictResponse.of(name, version, model.predict_push(body.push(), context))
 
 
 @router.get("/v1/models", tags=["models"], summary="What is served")

@@ -9,7 +9,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from service.contract import INDICATOR_LENGTH, GaussianPose, ObjectContext, Pose
 from service.errors import FieldFault, InvalidRequestError
-from service.loaded_models import LoadedModel
 from service.manifest import ModelReference
 
 REACH_M = 1.0  # a push is 50 mm: further from the object nothing can touch it
@@ -173,12 +172,11 @@ class PredictResponse(_Body):
     std: StdBody
 
     @classmethod
-    def of(cls, model: LoadedModel, gaussian: GaussianPose) -> "PredictResponse":
-        """The answer of a model; its numbers are finite by the predictor's own check, so none is checked again."""
-        version = ModelVersionBody.model_construct(name=model.manifest.name, version=model.manifest.version)
+    def of(cls, name: str, version: int, gaussian: GaussianPose) -> "PredictResponse":
+        """The answer of a model version; its numbers are finite by the predictor's own check: none is checked again."""
         mean, std = gaussian.mean, gaussian.std
         return cls.model_construct(
-            model=version,
+            model=ModelVersionBody.model_construct(name=name, version=version),
             frame="object",
             mean=MeanBody.model_construct(x=mean.x_m, y=mean.y_m, angle=mean.angle_rad),
             std=StdBody.model_construct(x=std.x_m, y=std.y_m, angle=std.angle_rad),

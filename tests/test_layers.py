@@ -14,7 +14,7 @@ SERVICE: dict[str, set[str]] = {
     "registry": {"errors", "contract", "manifest"},
     "predictor": {"errors", "contract", "manifest"},
     "loaded_models": {"errors", "contract", "manifest", "registry", "predictor"},
-    "schemas": {"errors", "contract", "manifest", "loaded_models"},
+    "schemas": {"errors", "contract", "manifest"},
     "settings": set(),
     "telemetry": set(),
     "problems": {"errors", "schemas", "telemetry"},

@@ -241,6 +241,16 @@ def test_a_disk_that_refuses_publishes_nothing(tmp_path: Path) -> None:
         publish_fake(Registry(tmp_path / "models"))
 
 
+def test_a_history_that_cannot_be_written_does_not_deny_what_was_published(registry: Registry) -> None:
+    """The error says that the version is there, and it is."""
+    history = registry.root / NAME / "history.jsonl"
+    history.unlink()
+    history.mkdir()
+    with pytest.raises(RegistryError, match="publish of 2 is done"):
+        publish_fake(registry, alias=None)
+    assert registry.read(NAME, 2).model == b"fine"
+
+
 def test_a_missing_registry_is_an_error_not_an_empty_one(tmp_path: Path) -> None:
     """Gone and empty are different things."""
     with pytest.raises(RegistryError, match="cannot be listed"):
