@@ -49,7 +49,13 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
         with contextlib.suppress(asyncio.CancelledError):
             await poll
 
-    app = Service(title="CAZSL", version=service.__version__, description=DESCRIPTION, lifespan=lifespan)
+    app = Service(
+        title="CAZSL",
+        version=service.__version__,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        redirect_slashes=False,  # a redirect would name the host that the request claimed
+    )
     app.state.settings = settings
     app.state.models = models
     app.include_router(router)

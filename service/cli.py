@@ -80,6 +80,8 @@ def serve(**options: Any) -> None:
         raise click.ClickException(f"{name}: {first['msg']}") from error
     configure_logging(settings.log_level)
     models = LoadedModels(Registry(settings.registry), OnnxPredictor, settings.newest_versions)
+    if sys.stdout.isatty():  # a person; whoever collects logs gets JSON lines only
+        click.echo(f"serving {settings.registry}; try http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success
     signal.signal(signal.SIGTERM, lambda *_: None)
     uvicorn.run(

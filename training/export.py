@@ -152,14 +152,15 @@ def feed(batch: Batch, kind: ContextKind) -> tuple[FloatArray | IndexArray, ...]
 
 
 def check_parity(network: PushNetwork, model: bytes, kind: ContextKind) -> float:
-    """The largest difference between torch and onnxruntime, in SI units.
+    """The largest difference between torch and onnxruntime on plausible pushes, in SI units; extreme ones agree too.
 
     Raises:
         PublishError: it is over the tolerance.
     """
     predictor, served = OnnxPredictor(model, kind), ServedNetwork(network).eval()
-    worst = 0.0
-    for batch in (probe_batch(1000, 37, seed=2), probe_batch(1, 1, seed=3), extreme_batch()):
+
+    def compare(batch: Batch) -> float:
+        """The largest difference for this batch."""
         found = np.stack(predictor.predict(batch.pusher, batch.context, batch.context_index))
         with torch.inference_mode():
             tensors = served(*(torch.from_numpy(array) for array in feed(batch, kind)))
@@ -168,9 +169,10 @@ def check_parity(network: PushNetwork, model: bytes, kind: ContextKind) -> float
         difference[0, :, 2] = np.minimum(difference[0, :, 2], 2.0 * math.pi - difference[0, :, 2])  # pi is -pi
         if (difference > PARITY_TOLERANCE + PARITY_RELATIVE * np.abs(expected)).any():
             raise PublishError(f"onnxruntime differs from torch by {difference.max():.2e}; nothing was published")
-        if batch.context.shape[0] in (1, 37):
-            worst = max(worst, float(difference.max()))
-    return worst
+        return float(difference.max())
+
+    compare(extreme_batch())
+    return max(compare(probe_batch(1000, 37, seed=2)), compare(probe_batch(1, 1, seed=3)))
 
 
 def publish(recipe: Recipe, network: PushNetwork, pushes: Pushes, registry: Registry) -> Manifest:

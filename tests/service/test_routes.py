@@ -233,6 +233,7 @@ def test_at_most_ten_faults_are_told(client: TestClient) -> None:
 def test_unknown_routes_and_methods_are_problems_too(client: TestClient) -> None:
     """404 and 405 have the one form, and 405 says what is allowed."""
     problem(client.get("/v1/nothing"), 404, "no_such_route")
+    problem(client.get("/v1/models/", follow_redirects=False), 404, "no_such_route")
     response = client.get("/v1/predict")
     problem(response, 405, "method_not_allowed")
     assert response.headers["allow"] == "POST"
