@@ -5,7 +5,7 @@ constant speed for 50 mm and does not feel the object. Both start where ``sample
 at the end of the push is the outcome. Nothing is random but the sampled pushes, and every object has its own random
 stream, so that the files depend on the seed alone: not on the order, on the number of threads, or on interruptions.
 
-Assumptions beyond the paper: friction, speed and geometry are those of the first trial in ``docs/data.md``. The rod is
+Assumptions beyond the paper: friction, speed and geometry are listed in ``docs/data.md``. The rod is
 a sphere at mid-height of the object, since the walls are vertical and a line contact's height is undetermined. Its
 mass is so large that it coasts: the object's push-back slows it by less than 10 micrometres over the push.
 """
@@ -30,7 +30,7 @@ from training.objects import BODY_DENSITY_KG_M3, FOOT_RADIUS_M, HEIGHT_M, WEIGHT
 Array = npt.NDArray[np.float64]
 
 PUSH_DURATION_S: Final = 1.4
-TIME_STEP_S: Final = 0.004  # outcomes differ by 0.3 mm and 8 mrad (rms) from those at a quarter of it
+TIME_STEP_S: Final = 0.004  # costs 0.2 mm and 7 mrad (rms), see benchmarks/time_step.py
 PUSHER_RADIUS_M: Final = 0.00475
 PUSHER_MASS_KG: Final = 1e5
 FRICTION: Final = 0.25
@@ -98,9 +98,13 @@ def sample_pushers(body: Solid, count: int, rng: np.random.Generator) -> Array:
     return found[:count]
 
 
-def push_object(body: Solid, pushers: Array, pool: rollout.Rollout, threads: int) -> Array:
+def push_object(
+    body: Solid, pushers: Array, pool: rollout.Rollout, threads: int, time_step_s: float = TIME_STEP_S
+) -> Array:
     """The object's pose after each push, in the object frame; (n, 3), x_m, y_m, yaw_rad."""
-    model = scene(body).compile()
+    spec = scene(body)
+    spec.option.timestep = time_step_s
+    model = spec.compile()
     start = mujoco.MjData(model)
     speed_m_s = PUSH_LENGTH_M / PUSH_DURATION_S
     direction = np.column_stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])])
@@ -109,7 +113,7 @@ def push_object(body: Solid, pushers: Array, pool: rollout.Rollout, threads: int
     state[:, positions + 7 : positions + 9] = pushers[:, :2]  # behind the object's free joint
     state[:, velocities + 6 : velocities + 8] = speed_m_s * direction
     datas = [mujoco.MjData(model) for _ in range(max(1, threads))]
-    steps = round(PUSH_DURATION_S / TIME_STEP_S)
+    steps = round(PUSH_DURATION_S / time_step_s)
     states, _ = pool.rollout(model, datas, state, nstep=steps)
     x_y = states[:, -1, positions : positions + 2]
     w, _, _, z = states[:, -1, positions + 3 : positions + 7].T

@@ -1,0 +1,42 @@
+"""What the simulator's time step costs in accuracy: the same pushes at the dataset's step and at a quarter of it.
+
+python benchmarks/time_step.py [--objects 10] [--pushes 40]
+"""
+
+import argparse
+import os
+
+import numpy as np
+from mujoco import rollout
+
+from service.contract import ObjectContext
+from training.data import omnipush_descriptors
+from training.objects import solid
+from training.simulate import TIME_STEP_S, push_object, sample_pushers
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--objects", type=int, default=10, help="objects, spread over the benchmark's list")
+    parser.add_argument("--pushes", type=int, default=40, help="pushes of each")
+    options = parser.parse_args()
+    threads = os.cpu_count() or 1
+    names = omnipush_descriptors()
+    difference = []
+    with rollout.Rollout(nthread=threads) as pool:
+        for number, name in enumerate(names[:: len(names) // options.objects][: options.objects]):
+            body = solid(ObjectContext.from_descriptor(name))
+            pushers = sample_pushers(body, options.pushes, np.random.default_rng(number))
+            coarse, fine = (push_object(body, pushers, pool, threads, TIME_STEP_S / part) for part in (1, 4))
+            difference.append(coarse - fine)
+    errors = np.concatenate(difference)
+    x_m, y_m, yaw_rad = np.sqrt(np.mean(errors**2, axis=0))
+    print(
+        f"{len(errors)} pushes of {options.objects} objects, step {TIME_STEP_S * 1e3:.0f} ms against a quarter of it:"
+    )
+    print(f"rms difference x {x_m * 1e3:.2f} mm, y {y_m * 1e3:.2f} mm, yaw {yaw_rad * 1e3:.1f} mrad")
+
+
+if __name__ == "__main__":
+    main()
