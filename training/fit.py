@@ -2,7 +2,8 @@
 
 A run folder holds ``config.json`` (recipe, data, code version), ``metrics.jsonl`` (a line per epoch), ``checkpoint.pt``
 (while running) and at the end ``weights.safetensors``. Batches depend on the seed and the epoch's number alone, so a
-run that was killed continues from its last checkpoint to the same weights as one that was not.
+run that was killed continues from its last checkpoint as one that was not: to the same weights on one thread. On
+several, two runs of one seed differ by rounding from the first epoch on (1e-6 of the loss) and drift apart with time.
 """
 
 import ctypes
