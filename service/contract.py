@@ -30,6 +30,7 @@ SECOND_POSITION_LETTERS: Final = "BC"
 TRIANGULAR: Final = "2"
 BITS_PER_SIDE: Final = len(SHAPE_DIGITS) + len(WEIGHT_LETTERS)
 INDICATOR_LENGTH: Final = SIDES * BITS_PER_SIDE
+VISUAL_SIZE: Final = 32
 PUSH_LENGTH_M: Final = 0.050
 POSE_NAMES: Final = ("x", "y", "angle")
 
@@ -39,6 +40,7 @@ class ContextKind(StrEnum):
 
     NONE = "none"
     INDICATOR = "indicator"
+    VISUAL = "visual"
 
 
 def wrap_angle(angle_rad: float) -> float:
@@ -157,6 +159,15 @@ class ObjectContext:
         """The 36 zeros and ones that the networks take, float32 [36]."""
         return np.array([bit for side in self.sides for bit in side.bits()], dtype=np.float32)
 
+    @property
+    def kind(self) -> ContextKind:
+        """What a model must want to be given this."""
+        return ContextKind.INDICATOR
+
+    def tensor(self) -> FloatArray:
+        """What the networks take: the indicator."""
+        return self.indicator()
+
     def turned(self, quarter_turns: int) -> Self:
         """The object turned by that many times +90 degrees in a frame that stays: its side 1 becomes side 2.
 
@@ -165,6 +176,38 @@ class ObjectContext:
         shift = quarter_turns % SIDES
         first, second, third, fourth = self.sides[-shift:] + self.sides[:-shift]
         return type(self)((first, second, third, fourth))
+
+
+@dataclass(frozen=True, slots=True)
+class VisualContext:
+    """An object as a small top-down view: 32 x 32 grey levels, one byte each, row by row, 0..255 meaning 0..1.
+
+    Eight bits on purpose: trainer and service see the same numbers to the bit.
+    """
+
+    levels: bytes
+
+    @classmethod
+    def from_bytes(cls, levels: bytes, where: str = "visual") -> Self:
+        """Take 1,024 grey levels.
+
+        Raises:
+            InvalidRequestError: there are fewer or more.
+        """
+        if len(levels) != VISUAL_SIZE**2:
+            accepted = f"{VISUAL_SIZE**2} bytes: {VISUAL_SIZE} rows of {VISUAL_SIZE} grey levels"
+            raise InvalidRequestError([FieldFault(where, f"{len(levels)} bytes", accepted)])
+        return cls(bytes(levels))
+
+    @property
+    def kind(self) -> ContextKind:
+        """What a model must want to be given this."""
+        return ContextKind.VISUAL
+
+    def tensor(self) -> FloatArray:
+        """What the networks take, float32 [1, 32, 32] in [0, 1]."""
+        grey = np.frombuffer(self.levels, dtype=np.uint8).astype(np.float32) / np.float32(255.0)
+        return grey.reshape(1, VISUAL_SIZE, VISUAL_SIZE)
 
 
 def _names_of_ones(bits: Sequence[float], names: str) -> str:

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from service.contract import ContextKind, GaussianPose, ObjectContext, Pose
+from service.contract import VISUAL_SIZE, ContextKind, GaussianPose, ObjectContext, Pose, VisualContext
 from service.errors import (
     BrokenModelError,
     CazslError,
@@ -43,7 +43,7 @@ class LoadedModel:
     card: str
     predictor: Predictor
 
-    def predict_push(self, pusher: Pose, context: ObjectContext | None) -> GaussianPose:
+    def predict_push(self, pusher: Pose, context: ObjectContext | VisualContext | None) -> GaussianPose:
         """Where the object ends up after one push, in the object frame.
 
         Raises:
@@ -58,13 +58,13 @@ class LoadedModel:
         if context is None:
             mean, std = self.predictor.predict(poses, None, None)
         else:
-            mean, std = self.predictor.predict(poses, context.indicator()[None], _FIRST_OBJECT)
+            mean, std = self.predictor.predict(poses, context.tensor()[None], _FIRST_OBJECT)
         return GaussianPose(Pose.wrapped(*mean[0].tolist()), Pose(*std[0].tolist()))
 
 
-def context_kind_of(context: ObjectContext | None) -> ContextKind:
+def context_kind_of(context: ObjectContext | VisualContext | None) -> ContextKind:
     """The kind of context that was given."""
-    return ContextKind.NONE if context is None else ContextKind.INDICATOR
+    return ContextKind.NONE if context is None else context.kind
 
 
 @dataclass(frozen=True)
@@ -213,6 +213,8 @@ def check_itself(manifest: Manifest, predictor: Predictor) -> None:
     try:
         pusher = np.array(check.pusher, dtype=np.float32)
         context = np.array(check.context, dtype=np.float32)
+        if manifest.context_kind is ContextKind.VISUAL:
+            context = context.reshape(-1, 1, VISUAL_SIZE, VISUAL_SIZE)
         index = np.array(check.context_index, dtype=np.int64)
         found = np.stack(predictor.predict(pusher, context, index))
         expected = np.array([check.mean, check.std], dtype=np.float32)

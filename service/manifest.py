@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, Final, Self, get_args, get_origin, get_type_hints
 
-from service.contract import INDICATOR_LENGTH, ContextKind
+from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
 from service.errors import BrokenModelError, FieldFault, InvalidRequestError
 
 FORMAT: Final = 1
@@ -92,7 +92,10 @@ class Tensor:
 
 @dataclass(frozen=True)
 class SelfCheck:
-    """An input with the output it must give, within an absolute tolerance in SI units; rows are lists of numbers."""
+    """An input with the output it must give, within an absolute tolerance in SI units; rows are lists of numbers.
+
+    A row of ``context`` is one object's indicator (36) or visual context (1,024, row by row).
+    """
 
     pusher: list[list[float]]
     context: list[list[float]]
@@ -210,13 +213,16 @@ class Manifest:
 _POSE_UNITS: Final = ("m", "m", "rad")
 _PUSHER: Final = Tensor("pusher", "float32", ("n", 3), _POSE_UNITS)
 _INDICATOR: Final = Tensor("context", "float32", ("g", INDICATOR_LENGTH), ("1",))
+_VISUAL: Final = Tensor("context", "float32", ("g", 1, VISUAL_SIZE, VISUAL_SIZE), ("1",))
 _CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
 OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
 
 
 def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
     """The inputs that a graph of this context kind must have, in order."""
-    return (_PUSHER,) if kind is ContextKind.NONE else (_PUSHER, _INDICATOR, _CONTEXT_INDEX)
+    if kind is ContextKind.NONE:
+        return (_PUSHER,)
+    return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)
 
 
 def _refuse_constant(name: str) -> float:

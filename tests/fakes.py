@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from service.contract import ContextKind, FloatArray, IndexArray
+from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind, FloatArray, IndexArray
 from service.errors import BrokenModelError, PredictionError
 from service.loaded_models import LoadedModels
 from service.manifest import (
@@ -44,7 +44,7 @@ class FakePredictor:
             raise PredictionError("the fake fails")
         mean = np.asarray(-pusher / 10.0, dtype=np.float32)
         if self.kind is not ContextKind.NONE and context is not None and context_index is not None:
-            mean[:, 2] = context.sum(axis=1)[context_index]
+            mean[:, 2] = context.reshape(len(context), -1).sum(axis=1)[context_index]
         if self.model == LYING:
             mean = mean + np.float32(1.0)
         return mean, np.tile(np.array(STD, dtype=np.float32), (len(pusher), 1))
@@ -60,7 +60,7 @@ def load_fake(model: bytes, kind: ContextKind) -> FakePredictor:
 def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
     """A manifest whose self-check is what ``FakePredictor`` answers."""
     pusher = [CHECKED_PUSH]
-    context = np.zeros((1, 36), dtype=np.float32)
+    context = np.zeros((1, VISUAL_SIZE**2 if kind is ContextKind.VISUAL else INDICATOR_LENGTH), dtype=np.float32)
     context[0, :3] = 1.0
     mean, std = FakePredictor(b"", kind).predict(
         np.array(pusher, dtype=np.float32), context, np.zeros(1, dtype=np.int64)
@@ -69,7 +69,7 @@ def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind
         name=name,
         version=1,
         created="2026-11-22T00:00:00+00:00",
-        method="FCN + CM" if kind is ContextKind.INDICATOR else "FCN",
+        method="FCN" if kind is ContextKind.NONE else "FCN + CM",
         context_kind=kind,
         inputs=expected_inputs(kind),
         outputs=OUTPUTS,

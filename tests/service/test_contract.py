@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.contract import INDICATOR_LENGTH, ObjectContext, Pose, wrap_angle
+from service.contract import INDICATOR_LENGTH, ContextKind, ObjectContext, Pose, VisualContext, wrap_angle
 from service.errors import InvalidRequestError
 
 sides = st.tuples(st.sampled_from("134"), st.sampled_from("abc")) | st.tuples(st.just("2"), st.sampled_from("abcBC"))
@@ -115,3 +115,20 @@ def test_every_faulty_side_is_named_at_once() -> None:
     with pytest.raises(InvalidRequestError) as caught:
         ObjectContext.from_indicator([0] * 36)
     assert [fault.where for fault in caught.value.faults] == [f"indicator side {number}" for number in (1, 2, 3, 4)]
+
+
+def test_a_visual_context_is_its_grey_levels_row_by_row() -> None:
+    """Byte 255 is 1, the second row begins at byte 32, and the kind is visual."""
+    view = VisualContext.from_bytes(bytes(range(256)) * 4)
+    assert view.kind is ContextKind.VISUAL
+    assert view.tensor().shape == (1, 32, 32)
+    assert view.tensor().dtype == np.float32
+    assert view.tensor()[0, 7, 31] == 1.0
+    assert view.tensor()[0, 1, 0] == np.float32(32.0) / np.float32(255.0)
+
+
+@pytest.mark.parametrize("size", [0, 1023, 1025])
+def test_a_visual_context_of_another_size_is_refused(size: int) -> None:
+    """The message says how many bytes came and how many it must be."""
+    with pytest.raises(InvalidRequestError, match=rf"{size} bytes.*1024 bytes"):
+        VisualContext.from_bytes(bytes(size))

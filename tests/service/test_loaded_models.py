@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from service.contract import ContextKind, ObjectContext, Pose
+from service.contract import ContextKind, ObjectContext, Pose, VisualContext
 from service.errors import ContextKindError, ModelNotReadyError, UnknownModelError
 from service.loaded_models import LoadedModels
 from service.manifest import ModelReference
@@ -47,6 +47,18 @@ def test_the_context_must_be_of_the_models_kind(models: LoadedModels) -> None:
         models.snapshot.find(CHAMPION).predict_push(Pose(0.0, 0.0, 0.0), None)
     with pytest.raises(ContextKindError, match="kind indicator"):
         models.snapshot.find_default(ContextKind.NONE).predict_push(Pose(0.0, 0.0, 0.0), OBJECT)
+
+
+def test_a_visual_model_passes_its_self_check_and_takes_views(registry: Registry) -> None:
+    """The stored context is a flat row; what reaches the predictor is an image of one channel."""
+    publish_fake(registry, "push-visual", ContextKind.VISUAL)
+    loaded = LoadedModels(registry, load_fake)
+    loaded.refresh()
+    model = loaded.snapshot.find_default(ContextKind.VISUAL)
+    view = VisualContext.from_bytes(bytes([255, 255]) + bytes(1022))
+    assert model.predict_push(Pose(0.0, 0.0, 0.0), view).mean.angle_rad == pytest.approx(2.0)
+    with pytest.raises(ContextKindError, match="kind indicator"):
+        model.predict_push(Pose(0.0, 0.0, 0.0), OBJECT)
 
 
 def test_before_the_first_look_nothing_is_ready(registry: Registry) -> None:
