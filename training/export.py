@@ -139,9 +139,13 @@ def probe_batch(pushes: int, objects: int, seed: int = 0) -> Batch:
 
 
 def extreme_batch() -> Batch:
-    """Inputs at and beyond every border: angles at pi and many turns away, far positions, empty and full contexts."""
-    values = (-1e3, -1.0, -math.pi, -0.0, 1e-30, math.pi, 1.0, 1e3)
-    pusher = np.array([(x, y, angle) for x in values for y in values for angle in values], dtype=np.float32)
+    """Inputs at every border: angles at pi and many turns away, positions up to a metre, empty and full contexts.
+
+    Further away float32 itself runs out: the activations grow with the distance, and a wrapped angle keeps their error.
+    """
+    places = (-1.0, -0.05, -0.0, 1e-30, 0.05, 1.0)
+    angles = (-1e3, -1.0, -math.pi, -0.0, 1e-30, math.pi, 1.0, 1e3)
+    pusher = np.array([(x, y, angle) for x in places for y in places for angle in angles], dtype=np.float32)
     context = np.stack([np.zeros(36), np.ones(36), *probe_batch(1, 6, seed=1).context]).astype(np.float32)
     return Batch(pusher, context, np.arange(len(pusher)) % len(context))
 
