@@ -12,7 +12,9 @@ from mujoco import rollout
 from service.contract import ObjectContext
 from training.data import omnipush_descriptors
 from training.objects import solid
-from training.simulate import TIME_STEP_S, push_object, sample_pushers
+from training.scene import TIME_STEP_S
+from training.simulate import push_object, sample_pushers
+from training.surfaces import even_conditions
 
 
 def main() -> None:
@@ -28,7 +30,8 @@ def main() -> None:
         for number, name in enumerate(names[:: len(names) // options.objects][: options.objects]):
             body = solid(ObjectContext.from_descriptor(name))
             pushers = sample_pushers(body, options.pushes, np.random.default_rng(number))
-            coarse, fine = (push_object(body, pushers, pool, threads, TIME_STEP_S / part) for part in (1, 4))
+            even = even_conditions(len(pushers))
+            coarse, fine = (push_object(body, pushers, even, pool, threads, TIME_STEP_S / part) for part in (1, 4))
             difference.append(coarse - fine)
     errors = np.concatenate(difference)
     x_m, y_m, yaw_rad = np.sqrt(np.mean(errors**2, axis=0))

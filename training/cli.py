@@ -1,6 +1,7 @@
 """``cazsl-train``: simulate pushes, fit a recipe, evaluate it, publish it."""
 
 import functools
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, ParamSpec
@@ -13,11 +14,14 @@ from service.errors import CazslError
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
 from training import export, fit, recipes, simulate
-from training.data import omnipush_descriptors, read_folder
+from training.data import omnipush_descriptors, plywood_descriptors, read_folder
 from training.evaluate import Evaluation, NormalisedPushes
 from training.evaluate import evaluate as evaluate_network
+from training.likeness import likeness, missed_share
+from training.surfaces import ABS, SURFACES
 
-DEFAULT_DATA: Final = Path("data/simulated/abs")
+SIMULATED: Final = Path("data/simulated")
+DEFAULT_DATA: Final = SIMULATED / ABS.name
 RUNS: Final = Path("runs")
 P = ParamSpec("P")
 
@@ -28,7 +32,7 @@ def main() -> None:
     """Train pushing models and publish them.
 
     \b
-    cazsl-train simulate                        62,500 pushes of 250 objects into data/simulated/abs
+    cazsl-train simulate                        62,500 pushes of 250 objects on ABS, 2,500 of 10 on plywood
     cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
@@ -70,22 +74,37 @@ run_argument = click.argument("run", type=click.Path(file_okay=False, path_type=
 
 
 @main.command("simulate")
-@data_option
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=SIMULATED)
+@click.option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="The plate.")
 @click.option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that is random.")
 @click.option("--threads", type=click.IntRange(1, 1024), help="Threads; the files are the same. [default: all cores]")
 @mend
-def simulate_pushes(folder: Path, pushes: int, seed: int, threads: int | None) -> None:
-    """Simulate the default dataset: all 250 objects of Omnipush, pushed in MuJoCo, in Omnipush's file format."""
-    plan = simulate.SimulationPlan(omnipush_descriptors(), pushes, seed)
-    simulate.simulate_dataset(plan, folder, threads)
-    found = read_folder(folder)
-    click.echo(f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, ", nl=False)
-    click.echo(f"{100 * simulate.missed_share(found.outcomes):.2f} % missed the object; sha256 {found.digest}")
-    click.echo(f"{'':18}{'mean':>10}{'published':>11}{'std':>10}{'published':>11}{'ratio':>7}")
-    for quantity, mean, mean_0, std, std_0 in simulate.likeness(found):
-        click.echo(f"{quantity:18}{mean:10.5f}{mean_0:11.5f}{std:10.5f}{std_0:11.5f}{std / std_0:7.3f}")
+def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads: int | None) -> None:
+    """Simulate the default datasets in Omnipush's file format: FOLDER/abs and FOLDER/plywood.
+
+    All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, in MuJoCo. What is already there
+    stays; the default FOLDER is data/simulated.
+    """
+    for name in SURFACES if surface == "all" else (surface,):
+        objects = omnipush_descriptors() if name == ABS.name else plywood_descriptors()
+        plan = simulate.SimulationPlan(objects, pushes, seed, SURFACES[name])
+        started = time.perf_counter()
+        simulated = simulate.simulate_dataset(plan, folder / name, threads)
+        _describe_pushes(folder / name, simulated, time.perf_counter() - started)
     click.echo("next: cazsl-train fit push-indicator")
+
+
+def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
+    """How long it took, what is there, and its statistics beside the published ones."""
+    found = read_folder(folder)
+    if simulated:
+        click.echo(f"{simulated} pushes took {seconds:.0f} s, {1e3 * seconds / simulated:.1f} ms a push")
+    click.echo(f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, ", nl=False)
+    click.echo(f"{100 * missed_share(found.outcomes):.2f} % missed the object; sha256 {found.digest}")
+    click.echo(f"{'':18}{'mean':>10}{'published':>11}{'std':>10}{'published':>11}{'ratio':>7}")
+    for quantity, mean, mean_0, std, std_0 in likeness(found):
+        click.echo(f"{quantity:18}{mean:10.5f}{mean_0:11.5f}{std:10.5f}{std_0:11.5f}{std / std_0:7.3f}")
 
 
 @main.command("fit")

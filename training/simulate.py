@@ -1,63 +1,64 @@
-"""Pushes in MuJoCo, written in Omnipush's own file format.
+"""Pushes in MuJoCo, recorded as Omnipush records them, written in its own file format.
 
-The object rests on small feet on a table with Coulomb friction; the pusher, a steel rod, moves in a straight line at
-constant speed for 50 mm and does not feel the object. Both start where ``sample_pushers`` says, and the object's pose
-at the end of the push is the outcome. Nothing is random but the sampled pushes, and every object has its own random
-stream, so that the files depend on the seed alone: not on the order, on the number of threads, or on interruptions.
-
-Assumptions beyond the paper: friction, speed and geometry are listed in ``docs/data.md``. The rod is
-a sphere at mid-height of the object, since the walls are vertical and a line contact's height is undetermined. Its
-mass is so large that it coasts: the object's push-back slows it by less than 10 micrometres over the push.
+The object lies anywhere on the plate at any yaw; the pusher moves in a straight line at constant speed for 50 mm and
+does not feel the object. What differs from push to push is where it starts and aims (``sample_pushers``) and what
+nobody records (``surfaces.Conditions``); a tracker with noise then sees both (``record``). Every object has random
+streams of its own, so that the files depend on the seed alone: not on the order, on the number of threads, or on
+interruptions. Assumptions beyond the paper are listed in ``docs/data.md``.
 """
 
+import copy
 import hashlib
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 from mujoco import rollout
 from tqdm import tqdm
 
 from service.contract import PUSH_LENGTH_M, ObjectContext
 from training import data
-from training.objects import BODY_DENSITY_KG_M3, FOOT_RADIUS_M, HEIGHT_M, WEIGHT_RADIUS_M, Solid, clearance_m, solid
-
-Array = npt.NDArray[np.float64]
+from training.objects import Solid, clearance_m, solid
+from training.scene import PUSHER_RADIUS_M, TIME_STEP_S, scene
+from training.surfaces import ABS, Array, Conditions, FrictionField, Surface, draw_conditions
 
 PUSH_DURATION_S: Final = 1.4
-TIME_STEP_S: Final = 0.004  # costs 0.2 mm and 7 mrad (rms), see benchmarks/time_step.py
-PUSHER_RADIUS_M: Final = 0.00475
-PUSHER_MASS_KG: Final = 1e5
-FRICTION: Final = 0.25
-START_RADIUS_M: Final = (0.075, 0.084)  # of the pusher's start around the object's centre
-AIM_RADIUS_M: Final = 0.025  # the push is aimed at a point of this disc around the object's centre
+START_RADIUS_M: Final = (0.0755, 0.085)  # of the pusher's start around the object's centre
+AIM_RADIUS_M: Final = 0.024  # the push is aimed at a point of this disc around the object's centre
 START_CLEARANCE_M: Final = 0.001
-# A push that moved the object by less than both has missed it.
-CONTACT_DISPLACEMENT_M: Final = 0.0005
-CONTACT_TURN_RAD: Final = 0.003
-_TABLE, _WALLS = 1, 2  # collision bits: feet meet the table, the pusher meets the walls
+SEGMENT_M: Final = 0.010  # of a push; from one to the next friction follows the feet over the plate
+# Yu et al. 2016, section IV: the tracker is accurate below 0.5 mm and 0.5 degrees, the robot to 0.1 mm; read as three
+# standard deviations.
+TRACKER_STD: Final = (0.00017, 0.00017, 0.0029)
+PUSHER_STD_M: Final = 0.00003
+_FREE, _SLIDES = 7, 2  # positions of the object's free joint, of the pusher's slides
 
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """What to simulate: objects, pushes of each, the seed of it all."""
+    """What to simulate: objects on a surface, pushes of each, the seed of it all."""
 
     descriptors: tuple[str, ...]
     pushes_per_object: int = 250
     seed: int = 0
+    surface: Surface = ABS
 
     def declaration(self) -> dict[str, object]:
         """What ``dataset.json`` says of the folder."""
+        name = self.surface.name
         return {
-            "source": f"simulated pushes (MuJoCo {mujoco.__version__}, ABS, seed {self.seed})",
+            "source": f"simulated pushes (MuJoCo {mujoco.__version__}, {name.upper()}, seed {self.seed})",
             "simulated": True,
             "simulator": f"MuJoCo {mujoco.__version__}",
-            "surface": "abs",
+            "surface": name,
+            "friction_level": list(self.surface.level),
+            "friction_spread": self.surface.spread,
+            "friction_correlation_m": self.surface.correlation_m,
+            "friction_grain": self.surface.grain,
+            "tracker_std": list(TRACKER_STD),
             "seed": self.seed,
             "pushes_per_object": self.pushes_per_object,
             "push_duration_s": PUSH_DURATION_S,
@@ -67,8 +68,8 @@ class SimulationPlan:
         }
 
 
-def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = None, quiet: bool = False) -> None:
-    """Simulate every object that the folder does not hold yet.
+def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = None, quiet: bool = False) -> int:
+    """Simulate every object that the folder does not hold yet; the number of pushes that were simulated.
 
     Raises:
         DataError: the folder holds another dataset.
@@ -76,13 +77,18 @@ def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = N
     data.declare_dataset(folder, plan.declaration())
     missing = [descriptor for descriptor in plan.descriptors if not data.has_object(folder, descriptor)]
     threads = threads or os.cpu_count() or 1
+    # one plate for all objects, as in a laboratory
+    field = FrictionField(plan.surface, np.random.default_rng([plan.seed, *plan.surface.name.encode()]))
     with rollout.Rollout(nthread=threads) as pool:
-        for descriptor in tqdm(missing, desc="simulating", unit="object", disable=quiet):
-            context = ObjectContext.from_descriptor(descriptor)
-            # the descriptor's bytes make a stream that no other object shares
-            rng = np.random.default_rng([plan.seed, *descriptor.encode()])
-            pushers = sample_pushers(solid(context), plan.pushes_per_object, rng)
-            data.write_object(folder, descriptor, pushers, push_object(solid(context), pushers, pool, threads))
+        for descriptor in tqdm(missing, desc=f"pushing on {plan.surface.name}", unit="object", disable=quiet):
+            body = solid(ObjectContext.from_descriptor(descriptor))
+            # the names' bytes make a stream that no other object or surface shares
+            rng = np.random.default_rng([plan.seed, *f"{plan.surface.name} {descriptor}".encode()])
+            pushers = sample_pushers(body, plan.pushes_per_object, rng)
+            conditions = draw_conditions(plan.surface, field, len(pushers), rng)
+            outcomes = push_object(body, pushers, conditions, pool, threads)
+            data.write_object(folder, descriptor, *record(pushers, outcomes, rng))
+    return len(missing) * plan.pushes_per_object
 
 
 def sample_pushers(body: Solid, count: int, rng: np.random.Generator) -> Array:
@@ -99,118 +105,91 @@ def sample_pushers(body: Solid, count: int, rng: np.random.Generator) -> Array:
 
 
 def push_object(
-    body: Solid, pushers: Array, pool: rollout.Rollout, threads: int, time_step_s: float = TIME_STEP_S
+    body: Solid,
+    pushers: Array,
+    conditions: Conditions,
+    pool: rollout.Rollout,
+    threads: int,
+    time_step_s: float = TIME_STEP_S,
+    push_length_m: float = PUSH_LENGTH_M,
 ) -> Array:
-    """The object's pose after each push, in the object frame; (n, 3), x_m, y_m, yaw_rad."""
+    """The object's true pose after each push, in the object frame before it; (n, 3), x_m, y_m, yaw_rad.
+
+    Another length or time step than the dataset's serve to validate the simulator; the pusher's speed stays.
+    """
     spec = scene(body)
     spec.option.timestep = time_step_s
     model = spec.compile()
-    start = mujoco.MjData(model)
-    speed_m_s = PUSH_LENGTH_M / PUSH_DURATION_S
-    direction = np.column_stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])])
-    state = np.tile(_full_state(model, start), (len(pushers), 1))
-    positions, velocities = 1, 1 + model.nq  # after the time
-    state[:, positions + 7 : positions + 9] = pushers[:, :2]  # behind the object's free joint
-    state[:, velocities + 6 : velocities + 8] = speed_m_s * direction
+    models = [copy.copy(model) for _ in pushers]
+    rod = model.geom("pusher").id
+    for each, friction in zip(models, conditions.contact, strict=True):
+        each.geom_friction[rod, 0] = friction
+    state = _initial_states(model, pushers, conditions.world_poses)
+    feet = np.array(body.feet_m)
     datas = [mujoco.MjData(model) for _ in range(max(1, threads))]
-    steps = round(PUSH_DURATION_S / time_step_s)
-    states, _ = pool.rollout(model, datas, state, nstep=steps)
-    x_y = states[:, -1, positions : positions + 2]
-    w, _, _, z = states[:, -1, positions + 3 : positions + 7].T
-    yaw = 2.0 * np.arctan2(z, w)
-    return np.column_stack([x_y, np.arctan2(np.sin(yaw), np.cos(yaw))])
+    steps = round(PUSH_DURATION_S * push_length_m / PUSH_LENGTH_M / time_step_s)
+    for segment in np.array_split(np.arange(steps), round(push_length_m / SEGMENT_M)):
+        friction = conditions.table_friction(_placed(feet, _object_poses(state)))
+        for each, of_feet in zip(models, friction, strict=True):
+            each.pair_friction[:, :2] = of_feet
+        state = pool.rollout(models, datas, state, nstep=len(segment))[0][:, -1]
+    return relative(_object_poses(state), conditions.world_poses)
 
 
-def scene(body: Solid) -> mujoco.MjSpec:
-    """The table, the object at the origin and the pusher as a MuJoCo model, not yet compiled."""
-    spec = mujoco.MjSpec()
-    spec.option.timestep = TIME_STEP_S
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    friction = [FRICTION, 0.0, 0.0]
-    spec.worldbody.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], friction=friction, contype=_TABLE, conaffinity=0
+def record(pushers: Array, outcomes: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """What a tracker with noise writes down of pushes and outcomes, (n, 3) each, in the frame that it measured.
+
+    The object's pose is measured before and after the push, so the recorded frame itself is a little off.
+    """
+    before, after = (rng.normal(0.0, TRACKER_STD, (len(pushers), 3)) for _ in range(2))
+    seen = pushers + rng.normal(0.0, 1.0, pushers.shape) * (PUSHER_STD_M, PUSHER_STD_M, 0.0)
+    return relative(seen, before), relative(outcomes + after, before)
+
+
+def relative(poses: Array, frames: Array) -> Array:
+    """Poses (n, 3) seen from frames (n, 3), both given in one outer frame; angles in (-pi, pi]."""
+    away = poses[:, :2] - frames[:, :2]
+    cos, sin = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    angle = poses[:, 2] - frames[:, 2]
+    x, y = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    return np.column_stack([x, y, np.arctan2(np.sin(angle), np.cos(angle))])
+
+
+def _placed(points: Array, poses: Array) -> Array:
+    """Points (k, 2) of an object at each of the poses (n, 3); (n, k, 2)."""
+    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    x, y = points.T
+    return np.asarray(poses[:, None, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1))
+
+
+def _initial_states(model: mujoco.MjModel, pushers: Array, world_poses: Array) -> Array:
+    """Full physics states: the object where it lies, the pusher at its start and at full speed."""
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    rest = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, mujoco.MjData(model), rest, kind)
+    state = np.tile(rest, (len(pushers), 1))
+    positions, velocities = 1, 1 + model.nq  # after the time
+    yaw, heading = world_poses[:, 2], world_poses[:, 2] + pushers[:, 2]
+    state[:, positions : positions + 2] = world_poses[:, :2]
+    state[:, positions + 3], state[:, positions + 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    starts = np.concatenate(
+        [_placed(start[None, :2], pose[None]) for start, pose in zip(pushers, world_poses, strict=True)]
     )
-    thing = spec.worldbody.add_body(name="object")
-    thing.add_freejoint()
-    for number, piece in enumerate(body.pieces):
-        bottom, top = (
-            np.column_stack([piece, np.full(len(piece), z)]) for z in (FOOT_RADIUS_M, FOOT_RADIUS_M + HEIGHT_M)
-        )
-        spec.add_mesh(name=f"piece{number}", uservert=np.concatenate([bottom, top]).ravel())
-        thing.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_MESH,
-            meshname=f"piece{number}",
-            density=BODY_DENSITY_KG_M3,
-            friction=friction,
-            contype=_WALLS,
-            conaffinity=0,
-        )
-    middle_m = FOOT_RADIUS_M + HEIGHT_M / 2
-    for weight in body.weights:
-        thing.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[WEIGHT_RADIUS_M, HEIGHT_M / 3, 0],
-            pos=[weight.x_m, weight.y_m, middle_m],
-            mass=weight.mass_kg,
-            contype=0,
-            conaffinity=0,
-        )
-    for x_m, y_m in body.feet_m:
-        thing.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_SPHERE,
-            size=[FOOT_RADIUS_M, 0, 0],
-            pos=[x_m, y_m, FOOT_RADIUS_M],
-            mass=1e-4,
-            friction=friction,
-            contype=0,
-            conaffinity=_TABLE,
-        )
-    rod = spec.worldbody.add_body(name="pusher", pos=[0, 0, middle_m])
-    for axis in ([1, 0, 0], [0, 1, 0]):
-        rod.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
-    rod.add_geom(
-        type=mujoco.mjtGeom.mjGEOM_SPHERE,
-        size=[PUSHER_RADIUS_M, 0, 0],
-        mass=PUSHER_MASS_KG,
-        friction=friction,
-        contype=0,
-        conaffinity=_WALLS,
-    )
-    return spec
+    state[:, positions + _FREE : positions + _FREE + _SLIDES] = starts[:, 0]
+    speed_m_s = PUSH_LENGTH_M / PUSH_DURATION_S
+    state[:, velocities + 6 : velocities + 8] = speed_m_s * np.column_stack([np.cos(heading), np.sin(heading)])
+    return state
 
 
-def missed_share(outcomes: npt.NDArray[np.floating[Any]]) -> float:
-    """Share of pushes that did not move the object; outcomes (..., 3)."""
-    still = np.hypot(outcomes[..., 0], outcomes[..., 1]) < CONTACT_DISPLACEMENT_M
-    return float(np.mean(still & (np.abs(outcomes[..., 2]) < CONTACT_TURN_RAD)))
-
-
-def likeness(pushes: data.Pushes) -> Sequence[tuple[str, float, float, float, float]]:
-    """Beside the published statistics: (quantity, mean here, published mean, std here, published std), SI units."""
-    published = data.published_normalisation()
-    present = pushes.valid > 0
-    rows: list[tuple[str, float, float, float, float]] = []
-    for label, values, mean, std in (
-        ("pusher", pushes.pushers[present], published.input_mean, published.input_std),
-        ("object", pushes.outcomes[present], published.output_mean, published.output_std),
-    ):
-        for column, name in enumerate(("x_m", "y_m", "angle_rad")):
-            here = values[:, column].astype(np.float64)
-            rows.append((f"{label} {name}", float(here.mean()), mean[column], float(here.std()), std[column]))
-    return rows
+def _object_poses(state: Array) -> Array:
+    """The object's planar poses in the world, (n, 3), of full physics states."""
+    x, y, _, w, _, _, z = state[:, 1 : 1 + _FREE].T
+    return np.column_stack([x, y, 2.0 * np.arctan2(z, w)])
 
 
 def _polar(radius: Array, rng: np.random.Generator) -> Array:
     angle = rng.uniform(-np.pi, np.pi, len(radius))
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
-
-
-def _full_state(model: mujoco.MjModel, start: mujoco.MjData) -> Array:
-    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
-    state = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, start, state, kind)
-    return state
 
 
 def _reference_scene() -> str:

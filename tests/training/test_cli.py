@@ -1,5 +1,6 @@
 """``cazsl-train`` as a person uses it: figures and the next step on success, one line and status 1 otherwise."""
 
+import re
 import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from training.data import (
     declare_dataset,
     different_objects,
     omnipush_descriptors,
+    plywood_descriptors,
     read_folder,
 )
 from training.evaluate import NormalisedPushes, evaluate
@@ -52,12 +54,12 @@ def test_help_lists_the_commands() -> None:
 
 @pytest.mark.parametrize("command", ["simulate", "fit", "evaluate", "publish"])
 def test_every_command_explains_itself(command: str) -> None:
-    """-h gives its usage and the option that names the data."""
+    """-h gives its usage and says where the data is."""
     result = cazsl_train(command, "-h")
 
     assert result.exit_code == 0
     assert result.output.startswith("Usage: ")
-    assert "--data" in result.output
+    assert "data/simulated" in result.output
 
 
 def test_the_version_is_the_package_s() -> None:
@@ -73,29 +75,41 @@ def test_simulate_goes_on_where_it_stopped_and_describes_the_dataset(data_folder
         if not path.name.startswith(left):
             shutil.copy(path, folder / path.name)
 
-    result = cazsl_train("simulate", "--data", folder, "--pushes", "2", "--seed", "4", "--threads", "1")
+    result = cazsl_train("simulate", tmp_path, *["--surface", "abs", "--pushes", "2", "--seed", "4", "--threads", "1"])
 
     found = read_folder(folder)
     assert result.exit_code == 0
     assert f"{found.source}: 250 objects, {found.count} pushes" in result.stdout
     assert found.digest in result.stdout
     assert "object angle_rad" in result.stdout
+    assert re.search(r"^4 pushes took \d+ s, [\d.]+ ms a push$", result.stdout, re.MULTILINE)
     assert result.stdout.endswith("next: cazsl-train fit push-indicator\n")
     assert found.valid[[found.descriptors.index(descriptor) for descriptor in left]].sum(axis=1).tolist() == [2, 2]
 
 
-def test_simulate_refuses_a_folder_of_other_pushes(data_folder: Path) -> None:
-    """One line names the folder; what is there is not touched."""
-    before = read_folder(data_folder).digest
+def test_simulate_pushes_the_published_ten_on_plywood(tmp_path: Path) -> None:
+    """Surfaces have folders of their own, and the source says which it was."""
+    result = cazsl_train("simulate", tmp_path, *["--surface", "plywood", "--pushes", "1", "--threads", "1"])
 
-    assert str(data_folder) in sole_line(cazsl_train("simulate", "--data", data_folder, "--pushes", "1"))
-    assert read_folder(data_folder).digest == before
+    found = read_folder(tmp_path / "plywood")
+    assert result.exit_code == 0
+    assert found.descriptors == plywood_descriptors()
+    assert "PLYWOOD" in found.source
+    assert [path.name for path in tmp_path.iterdir()] == ["plywood"]
+
+
+def test_simulate_refuses_a_folder_of_other_pushes(data_folder: Path, tmp_path: Path) -> None:
+    """One line names the folder; what is there is not touched."""
+    folder = shutil.copytree(data_folder, tmp_path / "abs")
+
+    assert str(folder) in sole_line(cazsl_train("simulate", tmp_path, "--pushes", "1"))
+    assert read_folder(folder).digest == read_folder(data_folder).digest
 
 
 @pytest.mark.parametrize("count", ["0", "-1", "many"])
 def test_simulate_refuses_an_impossible_number_of_pushes(tmp_path: Path, count: str) -> None:
     """It is a wrong use of the command, status 2, and nothing is made."""
-    result = cazsl_train("simulate", "--data", tmp_path / "abs", "--pushes", count)
+    result = cazsl_train("simulate", tmp_path, "--pushes", count)
 
     assert result.exit_code == 2
     assert "--pushes" in result.stderr

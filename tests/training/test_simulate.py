@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -15,21 +16,23 @@ from mujoco import rollout
 from service.contract import PUSH_LENGTH_M, ObjectContext
 from service.errors import DataError
 from training.data import DATASET_FILE, OUTCOME_SUFFIX, PUSHER_SUFFIX, Pushes, omnipush_descriptors, read_folder
+from training.likeness import likeness, missed_share
 from training.objects import CIRCLE_RADIUS_M, CORE_HALF_WIDTH_M, Solid, clearance_m, solid
+from training.scene import PUSHER_RADIUS_M, scene
 from training.simulate import (
     AIM_RADIUS_M,
-    PUSHER_RADIUS_M,
+    PUSH_DURATION_S,
     START_CLEARANCE_M,
     START_RADIUS_M,
+    TRACKER_STD,
     SimulationPlan,
-    likeness,
-    missed_share,
     push_object,
+    record,
+    relative,
     sample_pushers,
     simulate_dataset,
 )
-
-Array = npt.NDArray[np.float64]
+from training.surfaces import ABS, PLYWOOD, Array, Conditions, FrictionField, draw_conditions, even_conditions
 
 PLAN = SimulationPlan(("1a2b3c4a", "2B3a2C1a", "4a4a4a4a"), pushes_per_object=3, seed=7)
 # Symmetric scenes differ by rounding only (1e-16 relative), which 350 steps of contact and a solver that stops at 1e-8
@@ -42,10 +45,11 @@ def body_of(descriptor: str) -> Solid:
     return solid(ObjectContext.from_descriptor(descriptor))
 
 
-def push(descriptor: str, pushers: npt.ArrayLike) -> Array:
-    """Outcomes of pushes on one thread."""
+def push(descriptor: str, pushers: npt.ArrayLike, conditions: Conditions | None = None) -> Array:
+    """True outcomes of pushes on one thread; on an even table unless told otherwise."""
+    poses = np.array(pushers, dtype=np.float64)
     with rollout.Rollout(nthread=1) as pool:
-        return push_object(body_of(descriptor), np.array(pushers, dtype=np.float64), pool, 1)
+        return push_object(body_of(descriptor), poses, conditions or even_conditions(len(poses)), pool, 1)
 
 
 def some_pushers(descriptor: str, count: int) -> Array:
@@ -147,6 +151,7 @@ def test_an_interrupted_simulation_goes_on(simulated: Path, tmp_path: Path, inte
     [
         pytest.param(replace(PLAN, seed=8), id="another seed"),
         pytest.param(replace(PLAN, pushes_per_object=4), id="another number of pushes"),
+        pytest.param(replace(PLAN, surface=PLYWOOD), id="another surface"),
     ],
 )
 def test_another_dataset_in_the_same_folder_is_refused(simulated: Path, tmp_path: Path, other: SimulationPlan) -> None:
@@ -262,6 +267,87 @@ def test_a_heavy_side_lags_behind() -> None:
     assert np.diff(turns).min() > 0.01
 
 
+def test_where_the_object_lies_on_an_even_table_is_all_the_same() -> None:
+    """Without grain and patches, the object's place and yaw in the world leave no trace in its own frame."""
+    pushers = some_pushers("1a2B3c4b", 8)
+    lying = np.column_stack([np.linspace(-0.1, 0.1, 8), np.linspace(0.1, -0.05, 8), np.linspace(-3.0, 3.0, 8)])
+
+    moved = push("1a2B3c4b", pushers, replace(even_conditions(8), world_poses=lying))
+    assert (np.abs(moved - push("1a2B3c4b", pushers)) < SAME_M_AND_RAD).all()
+
+
+def test_the_grain_of_wood_holds_more_across_than_along() -> None:
+    """A push at 45 degrees to the grain drags the object along the grain rather than across it.
+
+    The object is round, so that the contact's force acts through its centre but for the friction of the pusher.
+    """
+    lying = np.array([(0.0, 0.0, yaw) for yaw in (0.0, math.pi / 4, -math.pi / 4)])
+    rough = replace(PLYWOOD, spread=0.0, grain=3.0)
+    conditions = replace(even_conditions(3), surface=rough, world_poses=lying, table_level=np.full(3, 0.26))
+    plain, left, right = push("3a3a3a3a", [(-0.080, 0.0, 0.0)] * 3, conditions)
+
+    assert abs(plain[1]) < 1e-4
+    # turned by +45 degrees, the grain runs at -45 degrees in the object's frame
+    assert left[1] < -0.0005
+    assert right[1] == pytest.approx(-left[1], abs=1e-4)
+
+
+def test_the_same_push_on_a_real_table_has_outcomes_that_scatter() -> None:
+    """Patches of friction scatter a repeated push, on plywood more than on ABS; on an even table nothing does."""
+    spread = {}
+    for surface in (ABS, PLYWOOD):
+        rng = np.random.default_rng(3)
+        conditions = draw_conditions(surface, FrictionField(surface, rng), 40, rng)
+        outcomes = push("4a4a4a4a", [(-0.075, 0.015, 0.0)] * 40, conditions)
+        spread[surface.name] = outcomes.std(axis=0)
+    even = push("4a4a4a4a", [(-0.075, 0.015, 0.0)] * 2)
+
+    assert (even[0] == even[1]).all()
+    assert 0.005 < spread["abs"][2] < 0.1
+    assert (spread["plywood"] > spread["abs"]).all()
+
+
+def test_nothing_digs_in_and_nothing_flies() -> None:
+    """At every step bodies overlap by less than 0.2 mm, nothing outruns the pusher much, the object stays flat."""
+    model = scene(body_of("1b2C3c4a")).compile()
+    state = mujoco.MjData(model)
+    state.qpos[7:9] = (-0.080, 0.005)
+    state.qvel[6:8] = (PUSH_LENGTH_M / PUSH_DURATION_S, 0.0)
+    deepest_m = fastest_m_s = highest_m = 0.0
+    for _ in range(round(PUSH_DURATION_S / model.opt.timestep)):
+        mujoco.mj_step(model, state)
+        deepest_m = min(deepest_m, *(float(contact.dist) for contact in state.contact), 0.0)
+        fastest_m_s = max(fastest_m_s, float(np.linalg.norm(state.qvel[:2])))
+        highest_m = max(highest_m, abs(float(state.qpos[2])))
+
+    assert deepest_m > -0.0002
+    assert fastest_m_s < 2.0 * PUSH_LENGTH_M / PUSH_DURATION_S
+    assert highest_m < 0.0005
+    assert abs(float(state.qpos[4])) < 1e-3  # no tilt
+    assert abs(float(state.qpos[5])) < 1e-3
+
+
+def test_a_tracker_sees_what_is_there_but_for_its_noise() -> None:
+    """Records are unbiased and spread as the tracker does; the heading of the robot moves with the measured frame."""
+    rng = np.random.default_rng(4)
+    pushers, outcomes = np.tile((-0.08, 0.01, 0.1), (4000, 1)), np.tile((0.02, 0.0, 0.2), (4000, 1))
+    seen_pushers, seen_outcomes = record(pushers, outcomes, rng)
+
+    # a twelfth of the noise is six standard errors of 4000 records; the frame's own yaw moves what lies 80 mm away
+    assert (np.abs((seen_outcomes - outcomes).mean(axis=0)) < np.array(TRACKER_STD) / 6).all()
+    assert (seen_outcomes - outcomes).std(axis=0) == pytest.approx(np.sqrt(2) * np.array(TRACKER_STD), rel=0.1)
+    assert (seen_pushers - pushers).std(axis=0)[1] == pytest.approx(0.08 * TRACKER_STD[2], rel=0.25)
+    assert (seen_pushers - pushers).std(axis=0)[2] == pytest.approx(TRACKER_STD[2], rel=0.1)
+
+
+def test_a_pose_seen_from_itself_is_the_origin() -> None:
+    """And one metre ahead of a frame that looks along y lies at x = 1, whatever turns the angles made."""
+    poses = np.array([(1.0, 2.0, 3.0), (0.0, 1.0, 0.5)])
+    frames = np.array([(1.0, 2.0, 3.0), (0.0, 0.0, math.pi / 2 - 4 * math.pi)])
+
+    assert relative(poses, frames) == pytest.approx(np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.5 - math.pi / 2)]))
+
+
 def test_every_outcome_belongs_to_its_push() -> None:
     """Pushes in another order have their outcomes in that order, to the bit."""
     pushers = some_pushers("1a2b3c4a", 5)
@@ -283,9 +369,9 @@ def test_a_push_that_misses_leaves_the_object() -> None:
     ("outcome", "share"),
     [
         pytest.param((0.0, 0.0, 0.0), 1.0, id="nothing moved"),
-        pytest.param((0.0004, 0.0, -0.002), 1.0, id="less than both limits"),
-        pytest.param((0.0, -0.0006, 0.0), 0.0, id="moved"),
-        pytest.param((0.0, 0.0, -0.004), 0.0, id="turned on the spot"),
+        pytest.param((0.0009, 0.0, -0.014), 1.0, id="less than both limits"),
+        pytest.param((0.0, -0.0011, 0.0), 0.0, id="moved"),
+        pytest.param((0.0, 0.0, -0.016), 0.0, id="turned on the spot"),
     ],
 )
 def test_missed_means_neither_moved_nor_turned(outcome: tuple[float, float, float], share: float) -> None:
@@ -294,18 +380,18 @@ def test_missed_means_neither_moved_nor_turned(outcome: tuple[float, float, floa
 
 
 def test_objects_move_away_from_the_pusher_and_no_further_than_it_went(sample: Pushes) -> None:
-    """Along the push every object moves by more than nothing and less than 50 mm."""
+    """Along the push every object moves by more than nothing and less than 50 mm, but for the tracker's noise."""
     angle = sample.pushers[..., 2]
     along = sample.outcomes[..., 0] * np.cos(angle) + sample.outcomes[..., 1] * np.sin(angle)
 
     assert along.shape == (25, 12)
-    assert along.min() > 0.0
-    assert along.max() < PUSH_LENGTH_M
+    assert along.min() > -0.001
+    assert along.max() < PUSH_LENGTH_M + 0.001
 
 
 def test_hardly_any_push_misses(sample: Pushes) -> None:
-    """Less than 3 % of the pushes of the benchmark's objects leave them where they were."""
-    assert missed_share(sample.outcomes) < 0.03
+    """Less than 2 % of the pushes of the benchmark's objects leave them where they were."""
+    assert missed_share(sample.outcomes) < 0.02
 
 
 def test_simulated_pushes_are_spread_like_the_published_ones(sample: Pushes) -> None:
