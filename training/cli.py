@@ -1,25 +1,23 @@
 """``cazsl-train``: simulate pushes, fit a recipe, evaluate it, publish it."""
 
-import functools
-from collections.abc import Callable
 from pathlib import Path
-from typing import Final, ParamSpec
+from typing import Final
 
 import click
 import torch
 
 import service
-from service.errors import CazslError
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
 from training import export, fit, recipes, simulate
+from training.command_errors import mend
 from training.data import omnipush_descriptors, read_folder
+from training.data_cli import data
 from training.evaluate import Evaluation, NormalisedPushes
 from training.evaluate import evaluate as evaluate_network
 
 DEFAULT_DATA: Final = Path("data/simulated/abs")
 RUNS: Final = Path("runs")
-P = ParamSpec("P")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -29,25 +27,13 @@ def main() -> None:
 
     \b
     cazsl-train simulate                        62,500 pushes of 250 objects into data/simulated/abs
+    cazsl-train data check FOLDER               is this copy of Omnipush fit to train on?
     cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
 
     Every step that was interrupted goes on where it stopped when it is started again.
     """
-
-
-def mend(command: Callable[P, None]) -> Callable[P, None]:
-    """An error of ours becomes one line and exit status 1."""
-
-    @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except CazslError as error:
-            raise click.ClickException(str(error)) from error
-
-    return run
 
 
 data_option = click.option(
@@ -67,6 +53,9 @@ registry_option = click.option(
     help="The folder of models.",
 )
 run_argument = click.argument("run", type=click.Path(file_okay=False, path_type=Path))
+
+
+main.add_command(data)
 
 
 @main.command("simulate")
