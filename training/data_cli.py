@@ -18,10 +18,15 @@ folder_argument = click.argument("folder", type=click.Path(path_type=Path))
 
 @click.group("data")
 def data() -> None:
-    """Look at folders of pushes: are they whole, are they like Omnipush, are they fit to train on?"""
+    """Look at folders of pushes, and write them again as Omnipush was published.
+
+    \b
+    cazsl-train data check data/omnipush           what a copy of Omnipush holds, and what is wrong with it
+    cazsl-train data export data/simulated/abs OUT the same pushes, raw and normalised
+    """
 
 
-@data.command("check")
+@data.command("check", short_help="Is this folder whole, like Omnipush, and fit to train on?")
 @folder_argument
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of the table.")
 @mend
@@ -41,7 +46,7 @@ def check(folder: Path, as_json: bool) -> None:
         click.get_current_context().exit(1)
 
 
-@data.command("export")
+@data.command("export", short_help="Write a folder again, raw, normalised or both.")
 @folder_argument
 @click.argument("target", type=click.Path(path_type=Path))
 @click.option(

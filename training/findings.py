@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from training.data import published_normalisation
-from training.kinds import by_kind, quarter_turns, shortened
+from training.kinds import by_kind, named, quarter_turns
 from training.likeness import Likeness, missed
 from training.omnipush_files import Array
 
@@ -70,14 +70,12 @@ def odd_rows(where: str, objects: Sequence[ObjectPushes]) -> Iterator[Finding]:
         if abs(len(thing.pushers) - PUBLISHED_ROWS) > ROWS_TOLERANCE
     ]
     if far:
-        text = (
-            f"{len(far)} objects have far from {PUBLISHED_ROWS} pushes: {shortened(far)}; fetch them again if cut off"
-        )
+        text = f"far from {PUBLISHED_ROWS} pushes in {named(far)}; fetch them again if the files were cut"
         yield Finding(Severity.WARNING, "rows-far-from-250", where, text)
     twice = {thing.descriptor: len(rows) - len(np.unique(rows, axis=0)) for thing, rows in _rows(objects)}
     names = [f"{descriptor} ({count})" for descriptor, count in twice.items() if count]
     if names:
-        text = f"{len(names)} objects hold the same push more than once: {shortened(names)}; those count double"
+        text = f"the same push more than once in {named(names)}; those count double"
         yield Finding(Severity.WARNING, "pushes-twice", where, text)
 
 
@@ -85,7 +83,7 @@ def odd_precision(where: str, objects: Sequence[ObjectPushes]) -> Iterator[Findi
     """Files that hold less than float32."""
     coarse = [thing.descriptor for thing in objects if "float16" in thing.dtypes]
     if coarse:
-        text = f"{len(coarse)} objects are stored as float16, which rounds to 0.06 mm: {shortened(coarse)}"
+        text = f"float16, which rounds to 0.06 mm, in {named(coarse)}; fetch float32 or float64"
         yield Finding(Severity.WARNING, "precision", where, text)
 
 
@@ -119,7 +117,7 @@ def odd_contact(where: str, objects: Sequence[ObjectPushes]) -> Iterator[Finding
         yield Finding(severity, "no-contact", where, text)
     still = [descriptor for descriptor, share in shares.items() if share > OBJECT_MISSED_WRONG]
     if still:
-        text = f"{len(still)} objects hardly ever moved, as if not tracked: {shortened(still)}; fetch them again"
+        text = f"hardly any motion, as if not tracked, in {named(still)}; fetch them again"
         yield Finding(Severity.ERROR, "objects-still", where, text)
 
 
@@ -189,14 +187,14 @@ def odd_normalised(where: str, twins: Mapping[str, tuple[ObjectPushes, Array]]) 
         (other_statistics if same else other_pushes).append(descriptor)
     if other_pushes:
         text = (
-            f"{len(other_pushes)} normalised twins hold other pushes than their raw files: {shortened(other_pushes)}; "
+            f"other pushes in the normalised twins than in the raw files of {named(other_pushes)}; "
             "fetch both again, or remove the twins if the raw files are the right ones"
         )
         yield Finding(Severity.ERROR, "twin-differs", where, text)
     if other_statistics:
         text = (
-            f"{len(other_statistics)} normalised twins were made with other statistics than the published ones: "
-            f"{shortened(other_statistics)}; the trainer reads the raw files"
+            f"normalised twins made with other statistics than the published ones of {named(other_statistics)}; "
+            "the trainer reads the raw files"
         )
         yield Finding(Severity.WARNING, "twin-statistics", where, text)
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from service.errors import DataError
 from training.data import UNKNOWN_SOURCE, published_normalisation, read_source
 from training.findings import Finding, ObjectPushes, Severity, odd_normalised, surface_findings
-from training.kinds import shortened
+from training.kinds import named
 from training.likeness import Likeness, likeness, missed
 from training.membership import Membership, membership
 from training.omnipush_files import Array, FilePair, FolderListing, Variant, list_folder, read_pair
@@ -147,12 +147,10 @@ def _odd_variants(folder: Path, listing: FolderListing, objects: Sequence[Object
     yield from (warning("twin-broken", text) for text in listing.warnings)
     alone = [pair.descriptor for pair in listing.pairs.values() if pair.variant is Variant.NORMALISED]
     if alone:
-        names = shortened(alone)
-        yield warning("normalised-only", f"{len(alone)} objects have no raw files, the normalised are read: {names}")
+        yield warning("normalised-only", f"no raw files of {named(alone)}; the normalised ones are read")
     lone = [name for name in listing.pairs if name not in listing.twins and name not in alone]
     if listing.twins and lone:
-        text = f"{len(lone)} objects have no normalised twin: {shortened(lone)}; the trainer does not need it"
-        yield warning("twin-missing", text)
+        yield warning("twin-missing", f"no normalised twin of {named(lone)}; the trainer needs none")
     twins: dict[str, tuple[ObjectPushes, Array]] = {}
     for thing in objects:
         if thing.descriptor in listing.twins:

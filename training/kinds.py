@@ -60,6 +60,11 @@ def find_kinds(wanted: Sequence[str], present: Iterable[str]) -> list[str]:
     return [found[descriptor][0] for descriptor in wanted]
 
 
+def named(descriptors: Sequence[str]) -> str:
+    """How many objects, and which, for a message of one line."""
+    return f"{len(descriptors)} {'object' if len(descriptors) == 1 else 'objects'} ({shortened(descriptors)})"
+
+
 def shortened(descriptors: Sequence[str], limit: int = 5) -> str:
     """The first few of a list, for a message of one line."""
     return ", ".join(descriptors[:limit]) + (" ..." if len(descriptors) > limit else "")

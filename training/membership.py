@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from training.data import different_objects, plywood_descriptors
 from training.findings import Finding, Severity
-from training.kinds import by_kind, canonical_descriptor, shortened
+from training.kinds import by_kind, canonical_descriptor, named
 from training.release import SurfaceKind
 
 
@@ -32,12 +32,11 @@ class Membership:
             if found.missing:
                 count = len(found.present) + len(found.missing)
                 text = (
-                    f"{len(found.missing)} of the {count} published {found.name} objects are missing: "
-                    f"{shortened(found.missing)}; fetch or simulate them"
+                    f"missing of the {count} published to {found.name}: {named(found.missing)}; fetch or simulate them"
                 )
                 yield Finding(Severity.ERROR, "objects-missing", where, text)
         if self.extra:
-            text = f"{len(self.extra)} objects are in no published list: {shortened(self.extra)}; no set-up uses them"
+            text = f"in no published list: {named(self.extra)}; no set-up uses them"
             yield Finding(Severity.WARNING, "objects-extra", where, text)
 
 
@@ -66,5 +65,5 @@ def _published(surface: SurfaceKind) -> Iterable[tuple[str, tuple[str, ...]]]:
         yield "test", plywood_descriptors()
     else:
         split = different_objects()
-        yield "training", split.train
+        yield "train", split.train
         yield "test", split.test

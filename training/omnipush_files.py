@@ -184,18 +184,27 @@ def write_pair(folder: Path, descriptor: str, variant: Variant, pushers: Array, 
         DataError: the folder cannot be written.
     """
     for suffix, array in ((variant.pusher_suffix, pushers), (variant.outcome_suffix, outcomes)):
-        buffer = io.BytesIO()
-        np.save(buffer, array, allow_pickle=False)
-        write_whole(folder / (descriptor + suffix), buffer.getvalue())
+        write_array(folder / (descriptor + suffix), array)
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Write beside the target, sync, rename: a reader sees the whole file or none.
+def write_array(path: Path, array: npt.NDArray[Any]) -> None:
+    """Write one array as a ``.npy`` file that is whole or not there.
 
     Raises:
         DataError: the folder cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    write_whole(path, buffer.getvalue())
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Write beside the target, sync, rename: a reader sees the whole file or none, and so does another writer.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
         with part.open("wb") as file:
             file.write(content)
@@ -219,7 +228,11 @@ def writing(path: Path) -> Iterator[None]:
 
 def _npy_files(folder: Path) -> list[Path]:
     try:
-        return sorted(path for path in folder.iterdir() if path.suffix == ".npy" and path.is_file())
+        return sorted(
+            path
+            for path in folder.iterdir()
+            if path.suffix == ".npy" and not path.name.startswith(".") and path.is_file()
+        )
     except OSError as error:
         raise DataError(
             f"{folder} cannot be listed ({error.strerror}); mend its permissions or name another folder"

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from service.contract import ObjectContext
 from service.errors import DataError, InvalidRequestError
 from training.findings import Finding, Severity
-from training.kinds import canonical_descriptor, shortened
+from training.kinds import canonical_descriptor, named
 from training.omnipush_files import read_content
 
 VIEWS_FOLDER: Final = "top-down_view"
@@ -68,13 +68,11 @@ def missing_views(where: str, descriptors: Iterable[str], views: Mapping[str, Se
     missing = [descriptor for descriptor in descriptors if descriptor not in views]
     if not missing:
         return
-    text = (
-        f"{len(missing)} objects have no top-down view: {shortened(missing)}; a visual model cannot be trained on them"
-    )
+    text = f"no top-down view of {named(missing)}; a visual model cannot be trained on them"
     kinds = {canonical_descriptor(descriptor) for descriptor in views if _is_object(descriptor)}
     turned = [descriptor for descriptor in missing if canonical_descriptor(descriptor) in kinds]
     if turned:
-        text += f" ({len(turned)} have one under a turned descriptor, which shows them in another frame)"
+        text += f"; of {named(turned)} there is one under a turned descriptor, which shows another frame"
     yield Finding(Severity.WARNING, "views-missing", where, text)
 
 

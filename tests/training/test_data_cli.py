@@ -231,9 +231,9 @@ def test_a_folder_without_pushes_ends_in_one_line(tmp_path: Path, command: str, 
         folder.mkdir()
     elif kind == "a file":
         folder.touch()
-    arguments = ["data", "check", folder] if command == "check" else ["fit", "push-indicator", "--data", folder]
+    words = ["data", "check"] if command == "check" else ["fit", "push-indicator", "--data"]
 
-    result = cazsl_train(*arguments)
+    result = cazsl_train(*words, folder)
     last = result.stderr.splitlines()[-1]
     assert result.exit_code == (
         2 if (command, kind) == ("fit", "a file") else 1

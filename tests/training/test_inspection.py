@@ -90,7 +90,11 @@ def test_files_under_turned_names_are_the_published_objects(tmp_path: Path) -> N
 
 def broken(file: str, content: bytes) -> Callable[[Path], None]:
     """Damage: a file of the surface holds these bytes."""
-    return lambda copy: (copy / "plywood" / file).write_bytes(content) and None
+
+    def damage(copy: Path) -> None:
+        (copy / "plywood" / file).write_bytes(content)
+
+    return damage
 
 
 def removed(file: str) -> Callable[[Path], None]:

@@ -32,7 +32,7 @@ def test_the_text_has_every_count_and_the_table(found: Inspection) -> None:
     assert lines[5] == "  views    9 of 10 objects have a top-down view"
     assert lines[6:13] == ["  " + line for line in likeness_lines(found.surfaces[0].figures)]
     assert lines[14] == "warnings:"
-    assert lines[15].startswith(f"  views-missing: {found.folder / 'plywood'}: 1 objects")
+    assert lines[15].startswith(f"  views-missing: {found.folder / 'plywood'}: no top-down view of 1 object")
     assert lines[16:] == [next_step(found)]
 
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from service.contract import SHAPE_DIGITS, TRIANGULAR, WEIGHT_LETTERS
 from service.errors import DataError, InvalidRequestError
 from training.data import omnipush_descriptors
-from training.kinds import by_kind, canonical_descriptor, find_kinds, quarter_turns, shortened
+from training.kinds import by_kind, canonical_descriptor, find_kinds, named, quarter_turns, shortened
 
 sides = st.sampled_from(
     [shape + weight for shape in SHAPE_DIGITS for weight in WEIGHT_LETTERS if shape == TRIANGULAR or weight in "abc"]
@@ -90,3 +90,4 @@ def test_long_lists_are_shortened() -> None:
     """The first few and a sign that there are more."""
     assert shortened(["a", "b"], 2) == "a, b"
     assert shortened(["a", "b", "c"], 2) == "a, b ..."
+    assert [named(["a"]), named(["a", "b"])] == ["1 object (a)", "2 objects (a, b)"]

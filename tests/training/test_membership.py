@@ -11,7 +11,7 @@ def test_the_250_objects_are_whole_on_abs() -> None:
     found = membership(SurfaceKind.ABS, omnipush_descriptors())
 
     assert [(each.name, len(each.present), each.missing) for each in found.lists] == [
-        ("training", 200, ()),
+        ("train", 200, ()),
         ("test", 50, ()),
     ]
     assert (found.turned, found.extra) == ((), ())
@@ -39,8 +39,8 @@ def test_missing_objects_are_errors_and_extra_ones_warnings() -> None:
         (Severity.ERROR, "objects-missing", "here"),
         (Severity.WARNING, "objects-extra", "here"),
     ]
-    assert f"1 of the 200 published training objects are missing: {split.train[7]};" in found[0].message
-    assert f"1 of the 50 published test objects are missing: {split.test[3]};" in found[1].message
+    assert f"missing of the 200 published to train: 1 object ({split.train[7]});" in found[0].message
+    assert f"missing of the 50 published to test: 1 object ({split.test[3]});" in found[1].message
     assert "1c1c1c1c" in found[2].message
 
 

@@ -99,7 +99,8 @@ def test_every_fault_is_listed(tmp_path: Path) -> None:
 
 
 def test_other_files_are_left_alone(tmp_path: Path) -> None:
-    """Views, parts, folders and pipes are no pushes; a pipe must not be waited for."""
+    """Views, parts, hidden files, folders and pipes are no pushes; a pipe must not be waited for."""
+    (tmp_path / f"._{FIRST}_X_3_not_norm.npy").touch()
     np.save(tmp_path / f"shape_{FIRST}.npy", ROWS)
     (tmp_path / f".{FIRST}_X_3_not_norm.npy.part").touch()
     (tmp_path / f"{FIRST}_X_3_not_norm.npy").mkdir()

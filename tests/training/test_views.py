@@ -109,5 +109,5 @@ def test_objects_without_a_view_are_counted(folder: Path) -> None:
 
     assert list(missing_views("abs", [FIRST, SECOND], views)) == []
     assert finding.severity is Severity.WARNING
-    assert "2 objects have no top-down view: 3c4a1a2b, 4a4a4a4a" in finding.message
-    assert "1 have one under a turned descriptor" in finding.message
+    assert "no top-down view of 2 objects (3c4a1a2b, 4a4a4a4a)" in finding.message
+    assert "of 1 object (3c4a1a2b) there is one under a turned" in finding.message
