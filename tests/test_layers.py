@@ -102,6 +102,19 @@ def test_the_tables_have_no_cycle() -> None:
         placed |= ready
 
 
+def test_the_rooms_of_the_trainer_have_no_cycle(project_root: Path) -> None:
+    """Each can be placed below those that import it: imports inside the trainer point one way too."""
+    rooms_below = {
+        path.stem if path.stem != "__init__" else path.parent.name: rooms(imported(path), "training")
+        for path in files(project_root, "training")
+    }
+    placed: set[str] = set()
+    while set(rooms_below) - placed:
+        ready = {room for room, below in rooms_below.items() if room not in placed and below - {room} <= placed}
+        assert ready, f"a cycle among {set(rooms_below) - placed}"
+        placed |= ready
+
+
 def test_the_trainer_takes_only_the_shared_rooms_of_the_service(project_root: Path) -> None:
     """Training uses the service's core and nothing of its web side."""
     for path in files(project_root, "training"):

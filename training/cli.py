@@ -1,29 +1,28 @@
 """``cazsl-train``: simulate pushes, fit a recipe, evaluate it, publish it."""
 
-import functools
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Final, ParamSpec
+from typing import Final
 
 import click
 import torch
 
 import service
-from service.errors import CazslError
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
 from training import export, fit, recipes, simulate
-from training.data import omnipush_descriptors, plywood_descriptors, read_folder
+from training.command_errors import mend
+from training.data import omnipush_descriptors, plywood_descriptors, published_normalisation, read_folder
+from training.data_cli import data
 from training.evaluate import Evaluation, NormalisedPushes
 from training.evaluate import evaluate as evaluate_network
-from training.likeness import likeness, missed_share
+from training.inspection_text import likeness_lines
+from training.likeness import likeness, missed
 from training.surfaces import ABS, SURFACES
 
 SIMULATED: Final = Path("data/simulated")
 DEFAULT_DATA: Final = SIMULATED / ABS.name
 RUNS: Final = Path("runs")
-P = ParamSpec("P")
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -33,25 +32,13 @@ def main() -> None:
 
     \b
     cazsl-train simulate                        62,500 pushes of 250 objects on ABS, 2,500 of 10 on plywood
+    cazsl-train data check FOLDER               is this copy of Omnipush fit to train on?
     cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
 
     Every step that was interrupted goes on where it stopped when it is started again.
     """
-
-
-def mend(command: Callable[P, None]) -> Callable[P, None]:
-    """An error of ours becomes one line and exit status 1."""
-
-    @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except CazslError as error:
-            raise click.ClickException(str(error)) from error
-
-    return run
 
 
 data_option = click.option(
@@ -71,6 +58,9 @@ registry_option = click.option(
     help="The folder of models.",
 )
 run_argument = click.argument("run", type=click.Path(file_okay=False, path_type=Path))
+
+
+main.add_command(data)
 
 
 @main.command("simulate")
@@ -101,10 +91,9 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
     if simulated:
         click.echo(f"{simulated} pushes took {seconds:.0f} s, {1e3 * seconds / simulated:.1f} ms a push")
     click.echo(f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, ", nl=False)
-    click.echo(f"{100 * missed_share(found.outcomes):.2f} % missed the object; sha256 {found.digest}")
-    click.echo(f"{'':18}{'mean':>10}{'published':>11}{'std':>10}{'published':>11}{'ratio':>7}")
-    for quantity, mean, mean_0, std, std_0 in likeness(found):
-        click.echo(f"{quantity:18}{mean:10.5f}{mean_0:11.5f}{std:10.5f}{std_0:11.5f}{std / std_0:7.3f}")
+    pushers, outcomes = found.rows()
+    click.echo(f"{100 * missed(outcomes).mean():.2f} % missed the object; sha256 {found.digest}")
+    click.echo("\n".join(likeness_lines(likeness(pushers, outcomes, published_normalisation()))))
 
 
 @main.command("fit")

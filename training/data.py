@@ -1,16 +1,14 @@
 """Omnipush-format folders to arrays, the published splits and statistics, and a digest of what was read.
 
 A folder holds, for each object, ``<descriptor>..._X_3_not_norm.npy`` (pusher poses) and the same name with ``y`` for
-``X`` (object poses after the push), both [pushes, 3] in metres, metres, radians in the object frame. A folder that
-this project simulated also holds ``dataset.json``, which says so: everything made from it carries that name.
+``X`` (object poses after the push), both [pushes, 3] in metres, metres, radians in the object frame. An object that is
+there in the normalised variant alone is read with the published statistics. A folder that this project simulated also
+holds ``dataset.json``, which says so: everything made from it carries that name.
 """
 
 import hashlib
-import io
 import json
-import os
-import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -21,13 +19,27 @@ import numpy as np
 import numpy.typing as npt
 
 from service.contract import FloatArray, ObjectContext
-from service.errors import DataError, InvalidRequestError
+from service.errors import DataError
+from training.kinds import find_kinds
+from training.omnipush_files import (
+    Array,
+    FilePair,
+    Variant,
+    check_lengths,
+    list_folder,
+    parse_array,
+    read_content,
+    read_pair,
+    write_pair,
+    write_whole,
+    writing,
+)
+from training.release import surface_folders
 
-PUSHER_SUFFIX: Final = "_X_3_not_norm.npy"
-OUTCOME_SUFFIX: Final = "_y_3_not_norm.npy"
+PUSHER_SUFFIX: Final = Variant.RAW.pusher_suffix
+OUTCOME_SUFFIX: Final = Variant.RAW.outcome_suffix
 DATASET_FILE: Final = "dataset.json"
 UNKNOWN_SOURCE: Final = "Omnipush-format files of undeclared origin"
-_PUSHER_FILE = re.compile(r"(?P<descriptor>[1-4abcBC]{8})(?P<rest>.*)" + re.escape(PUSHER_SUFFIX))
 
 
 @dataclass(frozen=True)
@@ -38,6 +50,14 @@ class Normalisation:
     input_std: npt.NDArray[np.float64]
     output_mean: npt.NDArray[np.float64]
     output_std: npt.NDArray[np.float64]
+
+    def normalised(self, pushers: Array, outcomes: Array) -> tuple[Array, Array]:
+        """SI units as the release's normalised files hold them."""
+        return (pushers - self.input_mean) / self.input_std, (outcomes - self.output_mean) / self.output_std
+
+    def in_si(self, pushers: Array, outcomes: Array) -> tuple[Array, Array]:
+        """What the release's normalised files hold in SI units."""
+        return pushers * self.input_std + self.input_mean, outcomes * self.output_std + self.output_mean
 
 
 @dataclass(frozen=True)
@@ -70,24 +90,23 @@ class Pushes:
         """Number of pushes, padding left out."""
         return int(self.valid.sum())
 
+    def rows(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Pushers and outcomes of all objects, (n, 3) each, padding left out."""
+        present = self.valid > 0
+        return self.pushers[present].astype(np.float64), self.outcomes[present].astype(np.float64)
+
     def select(self, descriptors: Sequence[str]) -> "Pushes":
         """The same pushes of these objects only, in this order; source and digest stay those of the folder read.
 
+        Objects are found up to rotation by whole sides, as in the benchmark; one that is there under a turned
+        descriptor keeps it, because its pushes are in the frame of that descriptor.
+
         Raises:
-            DataError: an object is not there.
+            DataError: an object is not there, or there twice.
         """
-        place = {descriptor: row for row, descriptor in enumerate(self.descriptors)}
-        missing = [descriptor for descriptor in descriptors if descriptor not in place]
-        if missing:
-            shown = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
-            raise DataError(
-                f"{len(missing)} of the {len(descriptors)} objects wanted are missing from the data: {shown}; "
-                "simulate them (make data) or choose another folder"
-            )
-        rows = [place[descriptor] for descriptor in descriptors]
-        return Pushes(
-            tuple(descriptors), self.pushers[rows], self.outcomes[rows], self.valid[rows], self.source, self.digest
-        )
+        found = find_kinds(descriptors, self.descriptors)
+        rows = [self.descriptors.index(descriptor) for descriptor in found]
+        return Pushes(tuple(found), self.pushers[rows], self.outcomes[rows], self.valid[rows], self.source, self.digest)
 
 
 @cache
@@ -111,6 +130,11 @@ def different_objects() -> Split:
     return Split("different-objects", tuple(facts["train"]), tuple(facts["test"]))
 
 
+def plywood_descriptors() -> tuple[str, ...]:
+    """The 10 objects that were also pushed on plywood; one of them is none of the 250."""
+    return tuple(_facts()["different_surfaces"]["test_plywood"])
+
+
 def omnipush_descriptors() -> tuple[str, ...]:
     """All 250 objects of the benchmark, sorted."""
     split = different_objects()
@@ -130,29 +154,55 @@ def read_folder(folder: Path) -> Pushes:
     """
     if not folder.is_dir():
         raise DataError(f"{folder} is not a folder of pushes; run 'make data' or name another with --data")
-    pairs = _pairs(folder)
-    digest = hashlib.sha256()
-    pushers = [_read_array(pusher_file, digest) for pusher_file, _ in pairs.values()]
-    outcomes = [_read_array(outcome_file, digest) for _, outcome_file in pairs.values()]
-    for (pusher_file, outcome_file), inputs, outputs in zip(pairs.values(), pushers, outcomes, strict=True):
-        if len(inputs) != len(outputs):
-            raise DataError(
-                f"{outcome_file} has {len(outputs)} rows and {pusher_file.name} has {len(inputs)}; "
-                "both must describe the same pushes: fetch or simulate this object again"
-            )
+    listing = list_folder(folder)
+    if listing.faults:
+        raise listing.faults[0]
+    if not listing.pairs:
+        below = " or ".join(str(path) for path in surface_folders(folder))
+        way_out = f"name {below} with --data" if below else "run 'make data' or name another folder with --data"
+        raise DataError(f"{folder} holds no *{PUSHER_SUFFIX} file; {way_out}")
+    pairs, digest = list(listing.pairs.values()), hashlib.sha256()
+    pusher_files = [_read_array(pair.pusher, digest) for pair in pairs]
+    outcome_files = [_read_array(pair.outcome, digest) for pair in pairs]
+    pushers, outcomes = zip(*map(_in_si, pairs, pusher_files, outcome_files), strict=True)
     rows = max(len(array) for array in pushers)
     valid = np.array([[1.0] * len(array) + [0.0] * (rows - len(array)) for array in pushers], dtype=np.float32)
     return Pushes(
-        tuple(pairs), _padded(pushers, rows), _padded(outcomes, rows), valid, _source(folder), digest.hexdigest()
+        tuple(listing.pairs),
+        _padded(pushers, rows),
+        _padded(outcomes, rows),
+        valid,
+        read_source(folder),
+        digest.hexdigest(),
     )
 
 
+def read_object(pair: FilePair) -> tuple[Array, Array]:
+    """One object's pushers and outcomes in SI units, float64 [pushes, 3] each.
+
+    Raises:
+        DataError: names the file at fault, what was expected and what to do.
+    """
+    pushers, outcomes = read_pair(pair)
+    return _in_si(pair, pushers.astype(np.float64), outcomes.astype(np.float64))
+
+
 def write_object(
-    folder: Path, descriptor: str, pushers: npt.NDArray[np.float64], outcomes: npt.NDArray[np.float64]
+    folder: Path,
+    descriptor: str,
+    pushers: Array,
+    outcomes: Array,
+    variants: Collection[Variant] = (Variant.RAW,),
 ) -> None:
-    """Write one object's pushes; the outcome file comes last, so a pair is whole or not there."""
-    _write_whole(folder / (descriptor + PUSHER_SUFFIX), _npy_bytes(pushers))
-    _write_whole(folder / (descriptor + OUTCOME_SUFFIX), _npy_bytes(outcomes))
+    """Write one object's pushes; the raw outcome file comes last, so that whoever sees it sees the whole object.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    if Variant.NORMALISED in variants:
+        write_pair(folder, descriptor, Variant.NORMALISED, *published_normalisation().normalised(pushers, outcomes))
+    if Variant.RAW in variants:
+        write_pair(folder, descriptor, Variant.RAW, pushers, outcomes)
 
 
 def has_object(folder: Path, descriptor: str) -> bool:
@@ -164,9 +214,10 @@ def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
     """Write down what a folder holds before anything is in it, or check that it is what is already there.
 
     Raises:
-        DataError: the folder holds something else.
+        DataError: the folder holds something else, or cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     path = folder / DATASET_FILE
     text = json.dumps(declaration, indent=2, sort_keys=True) + "\n"
     if path.exists():
@@ -175,82 +226,56 @@ def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
     elif any(folder.glob("*.npy")):
         raise DataError(f"{folder} already holds pushes that nothing declares as simulated; give an empty folder")
     else:
-        _write_whole(path, text.encode())
+        write_whole(path, text.encode())
 
 
-def _pairs(folder: Path) -> dict[str, tuple[Path, Path]]:
-    """The pusher and outcome file of each object, sorted by descriptor."""
-    pairs: dict[str, tuple[Path, Path]] = {}
-    for path in sorted(folder.glob("*" + PUSHER_SUFFIX)):
-        match = _PUSHER_FILE.fullmatch(path.name)
-        if match is None:
-            raise DataError(
-                f"{path} does not begin with an 8-character descriptor such as 1a2b3c4a; rename or remove it"
-            )
-        descriptor = match["descriptor"]
-        try:
-            ObjectContext.from_descriptor(descriptor)
-        except InvalidRequestError as error:
-            raise DataError(f"{path} names no Omnipush object ({error}); rename or remove it") from error
-        if descriptor in pairs:
-            raise DataError(f"{path} and {pairs[descriptor][0].name} are the same object; keep one of them")
-        outcome = path.with_name(path.name.removesuffix(PUSHER_SUFFIX) + OUTCOME_SUFFIX)
-        if not outcome.is_file():
-            raise DataError(f"{outcome} is missing beside {path.name}; fetch or simulate this object again")
-        pairs[descriptor] = (path, outcome)
-    if not pairs:
-        raise DataError(f"{folder} holds no *{PUSHER_SUFFIX} file; run 'make data' or name another folder with --data")
-    return pairs
-
-
-def _read_array(path: Path, digest: "hashlib._Hash") -> npt.NDArray[np.float64]:
-    content = path.read_bytes()
+def _read_array(path: Path, digest: "hashlib._Hash") -> Array:
+    content = read_content(path)
     digest.update(f"{path.name}\0{len(content)}\0".encode())
     digest.update(content)
-    try:
-        array = np.load(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # numpy parses the header with whatever it finds: no list of errors is complete
-        raise DataError(f"{path} is not a whole .npy file of numbers; fetch or simulate this object again") from error
-    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.shape[1] != 3 or len(array) == 0:
-        shape = getattr(array, "shape", "no array")
-        raise DataError(f"{path} has shape {shape}; expected [pushes, 3], one row per push: x_m, y_m, angle_rad")
-    if array.dtype.kind != "f":
-        raise DataError(f"{path} holds {array.dtype}; expected float32 or float64")
-    with np.errstate(over="ignore"):
-        finite = np.isfinite(array.astype(np.float32))  # as it will be used
-    if not finite.all():
-        row = int(np.argwhere(~finite)[0, 0])
-        raise DataError(f"{path} row {row} is not finite; remove that push from both files of the object")
-    return array.astype(np.float64)
+    return parse_array(path, content).astype(np.float64)
+
+
+def _in_si(pair: FilePair, pushers: Array, outcomes: Array) -> tuple[Array, Array]:
+    check_lengths(pair, pushers, outcomes)
+    if pair.variant is Variant.RAW:
+        return pushers, outcomes
+    return published_normalisation().in_si(pushers, outcomes)
 
 
 def _padded(arrays: Iterable[npt.NDArray[np.float64]], rows: int) -> FloatArray:
     return np.stack([np.pad(array, ((0, rows - len(array)), (0, 0))) for array in arrays]).astype(np.float32)
 
 
-def _source(folder: Path) -> str:
+def copy_declaration(folder: Path, target: Path) -> None:
+    """Make a target for the pushes of a folder: declared as that folder is, or empty of pushes where nothing is.
+
+    Raises:
+        DataError: the target holds something else, or cannot be written.
+    """
+    path = folder / DATASET_FILE
+    if path.is_file():
+        read_source(folder)
+        declare_dataset(target, json.loads(path.read_text(encoding="utf-8")))
+        return
+    if target.is_dir() and any(target.glob("*.npy")):
+        raise DataError(f"{target} already holds pushes; give an empty folder")
+    with writing(target):
+        target.mkdir(parents=True, exist_ok=True)
+
+
+def read_source(folder: Path) -> str:
+    """Where the pushes of a folder come from, as it declares; undeclared origin is called that.
+
+    Raises:
+        DataError: the declaration does not say.
+    """
     path = folder / DATASET_FILE
     if not path.is_file():
         return UNKNOWN_SOURCE
     try:
         return str(json.loads(path.read_text(encoding="utf-8"))["source"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(
             f"{path} does not say where the pushes come from (key 'source'); restore or remove it"
         ) from error
-
-
-def _npy_bytes(array: npt.NDArray[np.float64]) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()
-
-
-def _write_whole(path: Path, content: bytes) -> None:
-    """Write beside the target, sync, rename: a reader sees the whole file or none."""
-    part = path.with_name(f".{path.name}.part")
-    with part.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)

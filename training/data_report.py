@@ -14,8 +14,8 @@ from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path as DrawnPath
 
 from service.contract import PUSH_LENGTH_M, ObjectContext
-from training.data import Pushes
-from training.likeness import likeness, missed_share
+from training.data import Pushes, published_normalisation
+from training.likeness import likeness, missed
 from training.objects import WEIGHT_RADIUS_M, solid
 from training.scene import PUSHER_RADIUS_M
 
@@ -44,19 +44,20 @@ def write_report(pushes: Pushes, out: Path, seed: int = 0) -> tuple[Path, ...]:
 
 def report(pushes: Pushes) -> str:
     """The Markdown page."""
-    outcomes = pushes.outcomes[pushes.valid > 0].astype(np.float64)
+    pushers, outcomes = pushes.rows()
     distance_mm, turn_deg = _displacement_mm(outcomes), np.degrees(outcomes[:, 2])
     lines = [
         f"# {pushes.source}",
         "",
-        f"{len(pushes.descriptors)} objects, {pushes.count} pushes, {100 * missed_share(outcomes):.2f} % missed the "
+        f"{len(pushes.descriptors)} objects, {pushes.count} pushes, {100 * missed(outcomes).mean():.2f} % missed the "
         f"object; sha256 of the files `{pushes.digest}`. Written by `cazsl-train data report`.",
         "",
         "| quantity | mean | published | std | published | ratio of std |",
         "|---|---|---|---|---|---|",
         *(
-            f"| {name} | {mean:.5f} | {mean_0:.5f} | {std:.5f} | {std_0:.5f} | {std / std_0:.3f} |"
-            for name, mean, mean_0, std, std_0 in likeness(pushes)
+            f"| {row.quantity} | {row.mean:.5f} | {row.published_mean:.5f} | {row.std:.5f} | {row.published_std:.5f} | "
+            f"{row.ratio:.3f} |"
+            for row in likeness(pushers, outcomes, published_normalisation())
         ),
         "",
         "| quantile | " + " | ".join(f"{100 * q:.0f} %" for q in QUANTILES) + " |",
@@ -74,8 +75,7 @@ def report(pushes: Pushes) -> str:
 
 def histograms(pushes: Pushes) -> Figure:
     """Where pushes start and point, how far objects go and how far they turn."""
-    present = pushes.valid > 0
-    pushers, outcomes = pushes.pushers[present].astype(np.float64), pushes.outcomes[present].astype(np.float64)
+    pushers, outcomes = pushes.rows()
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     figure.suptitle(pushes.source)
     axes = figure.subplots(2, 3)

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import pickle
+import re
 import shutil
 from collections.abc import Callable
 from importlib import resources
@@ -28,6 +29,7 @@ from training.data import (
     read_folder,
     write_object,
 )
+from training.omnipush_files import Variant
 
 Array = npt.NDArray[np.float64]
 
@@ -109,6 +111,56 @@ def test_select_takes_objects_in_the_order_asked_for(folder: Path) -> None:
     assert (chosen.outcomes == found.outcomes[::-1]).all()
     assert (chosen.valid == found.valid[::-1]).all()
     assert (chosen.source, chosen.digest) == (found.source, found.digest)
+
+
+def test_select_finds_objects_up_to_rotation(folder: Path) -> None:
+    """A published name selects the file of a turned one, with the context and the frame of that file."""
+    turned = FIRST[2:] + FIRST[:2]
+    found, chosen = read_folder(folder), read_folder(folder).select([SECOND, turned])
+
+    assert turned not in found.descriptors
+    assert chosen.descriptors == (SECOND, FIRST)
+    assert (chosen.pushers == found.pushers[::-1]).all()
+    assert (chosen.indicators == found.indicators[::-1]).all()
+
+
+def test_select_refuses_two_files_of_one_kind(folder: Path) -> None:
+    """Neither can be told to be the published object; asked for others, they do no harm."""
+    turned = FIRST[2:] + FIRST[:2]
+    write_object(folder, turned, some_rows(4, 7), some_rows(4, 8))
+
+    with pytest.raises(DataError, match=f"{FIRST} and {turned} are the same kind"):
+        read_folder(folder).select([FIRST])
+    assert read_folder(folder).select([SECOND]).descriptors == (SECOND,)
+
+
+def test_objects_in_the_normalised_variant_alone_are_read_in_si(folder: Path) -> None:
+    """Beside raw ones, with the published statistics; the digest is of the files read."""
+    before = read_folder(folder)
+    for path in folder.glob(SECOND + "*"):
+        path.unlink()
+    write_object(folder, SECOND, some_rows(2, 1), some_rows(2, 2), (Variant.NORMALISED,))
+
+    after = read_folder(folder)
+    assert after.descriptors == before.descriptors
+    assert after.pushers == pytest.approx(before.pushers, rel=1e-6)
+    assert after.outcomes == pytest.approx(before.outcomes, rel=1e-6)
+    assert after.digest != before.digest
+
+
+def test_raw_files_are_read_where_both_variants_are_there(folder: Path) -> None:
+    """The twins change nothing, not even the digest."""
+    before = read_folder(folder)
+    write_object(folder, FIRST, some_rows(4, 30), some_rows(4, 40), (Variant.NORMALISED,))
+
+    assert read_folder(folder).digest == before.digest
+    assert (read_folder(folder).pushers == before.pushers).all()
+
+
+def test_a_folder_above_the_pushes_names_those_below(folder: Path) -> None:
+    """Whoever names a whole copy of Omnipush is told which folder to name."""
+    with pytest.raises(DataError, match=f"name {re.escape(str(folder))} with --data"):
+        read_folder(folder.parent)
 
 
 def test_selecting_objects_that_are_not_there_names_them(folder: Path) -> None:
@@ -325,7 +377,9 @@ def test_a_declared_folder_names_its_source(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "declaration", [b"{}", b"[]", b"{", b"\xff"], ids=["no source", "a list", "not JSON", "not UTF-8"]
+    "declaration",
+    [b"{}", b"[]", b"{", b"\xff", b"[" * 100_000],
+    ids=["no source", "a list", "not JSON", "not UTF-8", "nested without end"],
 )
 def test_a_declaration_without_a_source_is_refused(folder: Path, declaration: bytes) -> None:
     """A folder that says something of itself must say where its pushes come from."""
