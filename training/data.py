@@ -141,11 +141,6 @@ def omnipush_descriptors() -> tuple[str, ...]:
     return tuple(sorted(split.train + split.test))
 
 
-def plywood_descriptors() -> tuple[str, ...]:
-    """The ten objects that were pushed on plywood as well, sorted."""
-    return tuple(sorted(_facts()["different_surfaces"]["test_plywood"]))
-
-
 def read_folder(folder: Path) -> Pushes:
     """Every object of an Omnipush-format folder.
 

@@ -81,7 +81,7 @@ def test_simulate_goes_on_where_it_stopped_and_describes_the_dataset(data_folder
     assert result.exit_code == 0
     assert f"{found.source}: 250 objects, {found.count} pushes" in result.stdout
     assert found.digest in result.stdout
-    assert "object angle_rad" in result.stdout
+    assert "object yaw_rad" in result.stdout
     assert re.search(r"^4 pushes took \d+ s, [\d.]+ ms a push$", result.stdout, re.MULTILINE)
     assert result.stdout.endswith("next: cazsl-train fit push-indicator\n")
     assert found.valid[[found.descriptors.index(descriptor) for descriptor in left]].sum(axis=1).tolist() == [2, 2]
