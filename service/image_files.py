@@ -4,6 +4,8 @@ Only what makes the pixels is passed on; text, colour profiles, thumbnails and w
 reach a decoder. Sizes are read from the header and bounded first. Refused are: other formats, several frames, data
 behind the end of the picture (a polyglot, or the second picture that some phones append), files that stop early, and
 headers that ask for more work than a picture needs. Orientation (EXIF tag 0x0112) is the one thing read from metadata.
+What cannot be told from the container is a picture that was cut off and then closed properly: its missing rows are what
+the decoder makes of them.
 Standard library only.
 """
 
@@ -22,6 +24,9 @@ MAX_PARTS: Final = 10_000  # chunks or segments: a picture of the largest size n
 MAX_JPEG_SCANS: Final = 32  # every scan of a progressive JPEG costs a pass over the picture; encoders write about 10
 
 _PNG_PIXELS = frozenset((b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"))
+_PNG_LOST_KEYS = frozenset(
+    ((2, 0), (4, 0), (16, 2))
+)  # bit depth and colour type whose transparent colour Pillow misses
 _PNG_ANIMATION = frozenset((b"acTL", b"fcTL", b"fdAT"))
 _WEBP_PIXELS = frozenset((b"VP8X", b"VP8 ", b"VP8L", b"ALPH"))
 _WEBP_ANIMATION = frozenset((b"ANIM", b"ANMF"))
@@ -36,7 +41,10 @@ _ORIENTATION_TAG, _SHORT = 0x0112, 3
 
 @dataclass(frozen=True)
 class ImageLimits:
-    """What a picture may cost; all of it is checked before any pixel is decoded."""
+    """What a picture may cost; all of it is checked before any pixel is decoded.
+
+    Decoding takes up to 12 bytes of memory per pixel for PNG and JPEG, 21 for WebP: 260 MB at these limits.
+    """
 
     max_bytes: int = 8 << 20
     max_pixels: int = 4096 * 3072  # a 12-megapixel camera
@@ -110,7 +118,7 @@ def _walker(content: bytes, where: str) -> Callable[[bytes, str], ImageFile]:
 
 def _walk_png(content: bytes, where: str) -> ImageFile:
     """Chunks of length, name, data, checksum (PNG 3rd edition, section 5); the decoder verifies the checksums."""
-    width, height = struct.unpack_from(">II", content, 16)
+    width, height, depth, colour = struct.unpack_from(">IIBB", content, 16)
     kept, orientation, at = [PNG_START], 1, len(PNG_START)
     for _ in range(MAX_PARTS):
         length, name = struct.unpack_from(">I4s", content, at)
@@ -121,6 +129,9 @@ def _walk_png(content: bytes, where: str) -> ImageFile:
             raise _invalid(where, "a PNG whose header is not its first chunk", "a whole PNG")
         if name in _PNG_ANIMATION:
             raise _animated(where)
+        if name == b"tRNS" and (depth, colour) in _PNG_LOST_KEYS:
+            received = f"a PNG of {depth} bits with a transparent colour"
+            raise UnsupportedImageError(f"{where}: received {received}; accepted is an alpha channel, or 8 bits")
         if name in _PNG_PIXELS:
             kept.append(content[at:end])
         elif name == b"eXIf":

@@ -149,7 +149,7 @@ def quality_flags(image: GreyImage) -> tuple[QualityFlag, ...]:
     """What is odd about a picture, judged on what the model sees of it."""
     grey = np.frombuffer(visual_context(image).levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
     bright = grey > _threshold(grey)
-    if not bright.any() or grey[bright].mean() - grey[~bright].mean() < _LEAST_CONTRAST * 255:
+    if grey.min() == grey.max() or grey[bright].mean() - grey[~bright].mean() < _LEAST_CONTRAST * 255:
         return (QualityFlag.BLANK,)
     areas = sorted(_connected(bright), key=len, reverse=True)
     cells = areas[0]
