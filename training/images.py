@@ -78,13 +78,16 @@ def write_views(
     The files depend on object and seed alone, not on order, interruption, or who else draws into the folder.
 
     Raises:
-        DataError: the folder holds something else.
+        DataError: the folder holds something else, or cannot be written to.
     """
-    data.declare_dataset(folder, _declaration(camera, seed))
-    missing = [descriptor for descriptor in descriptors if not (folder / _file_name(descriptor)).is_file()]
-    for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
-        view = photograph(descriptor, seed) if camera else top_down_view(ObjectContext.from_descriptor(descriptor))
-        data.write_array(folder / _file_name(descriptor), view)
+    try:
+        data.declare_dataset(folder, _declaration(camera, seed))
+        missing = [descriptor for descriptor in descriptors if not (folder / _file_name(descriptor)).is_file()]
+        for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
+            view = photograph(descriptor, seed) if camera else top_down_view(ObjectContext.from_descriptor(descriptor))
+            data.write_array(folder / _file_name(descriptor), view)
+    except OSError as error:
+        raise DataError(f"{folder} cannot be written to ({error.strerror}); name another folder") from error
 
 
 def read_views(folder: Path, descriptors: Sequence[str]) -> npt.NDArray[np.uint8]:
@@ -142,10 +145,15 @@ def _find(folder: Path, descriptor: str) -> Path:
 
 
 def _read_view(path: Path) -> GreyImage:
-    if path.stat().st_size > _MAX_FILE_BYTES:
-        raise DataError(f"{path} has {path.stat().st_size} bytes; a view of 481 x 481 has at most {_MAX_FILE_BYTES}")
     try:
-        array = np.load(io.BytesIO(path.read_bytes()), allow_pickle=False)
+        with path.open("rb") as file:
+            content = file.read(_MAX_FILE_BYTES + 1)
+    except OSError as error:
+        raise DataError(f"{path} cannot be read ({error.strerror}); make it readable or fetch it again") from error
+    if len(content) > _MAX_FILE_BYTES:
+        raise DataError(f"{path} has more than {_MAX_FILE_BYTES} bytes: no view of 481 x 481; fetch or draw it again")
+    try:
+        array = np.load(io.BytesIO(content), allow_pickle=False)
     except Exception as error:  # numpy parses the header with whatever it finds: no list of errors is complete
         raise DataError(f"{path} is not a whole .npy file of numbers; fetch or draw it again") from error
     if not isinstance(array, np.ndarray) or array.shape != (VIEW_PIXELS, VIEW_PIXELS):
