@@ -156,7 +156,8 @@ def test_sixteen_bits_with_colour_or_alpha_are_read_by_their_upper_eight(colour:
 
 
 @pytest.mark.parametrize(
-    ("depth", "byte", "levels"), [(1, 0b10, [0, 0]), (2, 0b00011011, [0, 85, 170, 255]), (4, 0x5F, [85, 255])]
+    ("depth", "byte", "levels"),
+    [(1, 0b01100000, [0, 255, 255, 0]), (2, 0b00011011, [0, 85, 170, 255]), (4, 0x5F, [85, 255])],
 )
 def test_few_bits_are_spread_over_the_whole_range(depth: int, byte: int, levels: list[int]) -> None:
     """The brightest value is white, whatever the depth."""
