@@ -1,5 +1,6 @@
 """``cazsl-train``: simulate pushes, fit a recipe, evaluate it, publish it."""
 
+import hashlib
 import time
 from pathlib import Path
 from typing import Final
@@ -10,7 +11,7 @@ import torch
 import service
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
-from training import export, fit, recipes, simulate
+from training import export, fit, images, recipes, simulate
 from training.command_errors import mend
 from training.data import omnipush_descriptors, plywood_descriptors, published_normalisation, read_folder
 from training.data_cli import data
@@ -19,9 +20,12 @@ from training.evaluate import evaluate as evaluate_network
 from training.inspection_text import likeness_lines
 from training.likeness import likeness, missed
 from training.surfaces import ABS, SURFACES
+from training.views import VIEWS_FOLDER
 
 SIMULATED: Final = Path("data/simulated")
 DEFAULT_DATA: Final = SIMULATED / ABS.name
+DEFAULT_VIEWS: Final = SIMULATED / VIEWS_FOLDER
+DEFAULT_CAMERA_VIEWS: Final = SIMULATED / f"{VIEWS_FOLDER}-camera"
 RUNS: Final = Path("runs")
 
 
@@ -33,6 +37,7 @@ def main() -> None:
     \b
     cazsl-train simulate                        62,500 pushes of 250 objects on ABS, 2,500 of 10 on plywood
     cazsl-train data check FOLDER               is this copy of Omnipush fit to train on?
+    cazsl-train images --camera                 their top-down views as a camera would see them
     cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
@@ -71,10 +76,10 @@ main.add_command(data)
 @click.option("--threads", type=click.IntRange(1, 1024), help="Threads; the files are the same. [default: all cores]")
 @mend
 def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads: int | None) -> None:
-    """Simulate the default datasets in Omnipush's file format: FOLDER/abs and FOLDER/plywood.
+    """Simulate the default datasets in Omnipush's file format: FOLDER/abs, FOLDER/plywood, FOLDER/top-down_view.
 
-    All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, in MuJoCo. What is already there
-    stays; the default FOLDER is data/simulated.
+    All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, in MuJoCo, and drawn from above.
+    What is already there stays; the default FOLDER is data/simulated.
     """
     for name in SURFACES if surface == "all" else (surface,):
         objects = omnipush_descriptors() if name == ABS.name else plywood_descriptors()
@@ -82,7 +87,8 @@ def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads:
         started = time.perf_counter()
         simulated = simulate.simulate_dataset(plan, folder / name, threads)
         _describe_pushes(folder / name, simulated, time.perf_counter() - started)
-    click.echo("next: cazsl-train fit push-indicator")
+        images.write_views(folder / VIEWS_FOLDER, objects)
+    click.echo(f"{folder / VIEWS_FOLDER}: what they look like from above; next: cazsl-train fit push-indicator")
 
 
 def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
@@ -94,6 +100,37 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
     pushers, outcomes = found.rows()
     click.echo(f"{100 * missed(outcomes).mean():.2f} % missed the object; sha256 {found.digest}")
     click.echo("\n".join(likeness_lines(likeness(pushers, outcomes, published_normalisation()))))
+
+
+@main.command("images")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), required=False)
+@click.option("--camera", is_flag=True, help="As a camera would see them: light, table, blur, noise, JPEG.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that --camera adds.")
+@click.option(
+    "--gallery",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Only draw this PNG: some objects as drawn, as a camera sees them, and as a model does.",
+)
+@mend
+def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
+    """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
+
+    FOLDER is data/simulated/top-down_view, with --camera data/simulated/top-down_view-camera, unless named. Views that
+    are already there stay; the files depend on object and seed alone.
+    """
+    if gallery is not None:
+        from training.image_gallery import draw_gallery  # matplotlib is slow to load, and no other command needs it
+
+        draw_gallery(gallery, seed=seed)
+        click.echo(f"{gallery} shows clean views, camera views, and the 32 x 32 that a model sees")
+        return
+    folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
+    descriptors = omnipush_descriptors()
+    images.write_views(folder, descriptors, camera, seed)
+    seen = images.read_views(folder, descriptors)
+    digest = hashlib.sha256(seen.tobytes()).hexdigest()
+    click.echo(f"{folder}: {len(seen)} views of 481 x 481; sha256 of the 32 x 32 that models see: {digest}")
+    click.echo("next: cazsl-train images --gallery views.png, and look at it")
 
 
 @main.command("fit")

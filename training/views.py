@@ -4,22 +4,19 @@ A view is ``shape_<descriptor>.npy``, 481 x 481. It shows the object in the fram
 view under a turned descriptor is not taken for the object's own.
 """
 
-import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-import numpy as np
 from tqdm import tqdm
 
 from service.contract import ObjectContext
 from service.errors import DataError, InvalidRequestError
 from training.findings import Finding, Severity
+from training.images import read_view
 from training.kinds import canonical_descriptor, named
-from training.omnipush_files import read_content
 
 VIEWS_FOLDER: Final = "top-down_view"
-VIEW_SIZE: Final = 481
 _PREFIX: Final = "shape_"
 
 
@@ -33,24 +30,6 @@ def find_views(places: Iterable[Path]) -> dict[str, tuple[Path, ...]]:
     return views
 
 
-def check_view(path: Path) -> None:
-    """Read a view and forget it.
-
-    Raises:
-        DataError: it is no image of the published size; the message names the file and what to do.
-    """
-    content = read_content(path)
-    try:
-        image = np.load(io.BytesIO(content), allow_pickle=False)
-    except Exception as error:  # numpy parses the header with whatever it finds: no list of errors is complete
-        raise DataError(f"{path} is not a whole .npy file of numbers; fetch or draw this view again") from error
-    shape = getattr(image, "shape", "no array")
-    if shape != (VIEW_SIZE, VIEW_SIZE):
-        raise DataError(f"{path} has shape {shape}; expected ({VIEW_SIZE}, {VIEW_SIZE}): fetch or draw this view again")
-    if image.dtype.kind not in "buif" or not np.isfinite(image).all():
-        raise DataError(f"{path} holds {image.dtype} that are not all finite numbers; fetch or draw this view again")
-
-
 def odd_views(views: Mapping[str, Sequence[Path]], quiet: bool) -> Iterator[Finding]:
     """Views that name no object, are there twice, or are no image of the published size."""
     for descriptor, paths in tqdm(
@@ -58,7 +37,7 @@ def odd_views(views: Mapping[str, Sequence[Path]], quiet: bool) -> Iterator[Find
     ):
         try:
             _check_name(descriptor, paths)
-            check_view(paths[0])
+            read_view(paths[0])
         except DataError as error:
             yield Finding(Severity.ERROR, "view-broken", str(paths[0]), str(error))
 

@@ -291,7 +291,7 @@ def test_a_folder_without_write_permission_ends_in_one_line(read_only: Path) -> 
 def test_simulating_into_a_folder_without_write_permission_ends_in_one_line(read_only: Path) -> None:
     """Before anything is simulated."""
     with nobody():
-        result = cazsl_train("simulate", "--data", read_only / "abs", "--pushes", "1", "--threads", "1")
+        result = cazsl_train("simulate", read_only, "--pushes", "1", "--threads", "1")
 
     assert result.exit_code == 1
     assert result.output.splitlines() == [
