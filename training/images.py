@@ -82,14 +82,11 @@ def write_views(
     Raises:
         DataError: the folder holds something else, or cannot be written to.
     """
-    try:
-        data.declare_dataset(folder, _declaration(camera, seed))
-        missing = [descriptor for descriptor in descriptors if not (folder / _file_name(descriptor)).is_file()]
-        for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
-            view = photograph(descriptor, seed) if camera else top_down_view(ObjectContext.from_descriptor(descriptor))
-            write_array(folder / _file_name(descriptor), view)
-    except OSError as error:
-        raise DataError(f"{folder} cannot be written to ({error.strerror}); name another folder") from error
+    data.declare_dataset(folder, _declaration(camera, seed))
+    missing = [descriptor for descriptor in descriptors if not (folder / _file_name(descriptor)).is_file()]
+    for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
+        view = photograph(descriptor, seed) if camera else top_down_view(ObjectContext.from_descriptor(descriptor))
+        write_array(folder / _file_name(descriptor), view)
 
 
 def read_views(folder: Path, descriptors: Sequence[str]) -> npt.NDArray[np.uint8]:

@@ -199,12 +199,12 @@ def write_array(path: Path, array: npt.NDArray[Any]) -> None:
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write beside the target, sync, rename: a reader sees the whole file or none.
+    """Write beside the target, sync, rename: a reader sees the whole file or none, and so does another writer.
 
     Raises:
         DataError: the folder cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     with writing(path):
         with part.open("wb") as file:
             file.write(content)

@@ -96,7 +96,8 @@ def test_simulate_pushes_the_published_ten_on_plywood(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert found.descriptors == plywood_descriptors()
     assert "PLYWOOD" in found.source
-    assert [path.name for path in tmp_path.iterdir()] == ["plywood"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plywood", "top-down_view"]
+    assert len(list((tmp_path / "top-down_view").glob("shape_*.npy"))) == 10
 
 
 def test_simulate_refuses_a_folder_of_other_pushes(data_folder: Path, tmp_path: Path) -> None:

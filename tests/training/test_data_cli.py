@@ -206,7 +206,7 @@ def test_the_trap_is_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "file", "says"),
     [
-        pytest.param(other_size, f"shape_{TEN[0]}.npy", "(480, 481); expected (481, 481): fetch or draw", id="view"),
+        pytest.param(other_size, f"shape_{TEN[0]}.npy", "(480, 481); expected (481, 481); fetch or draw", id="view"),
         pytest.param(twice_turned, TEN[0], "keep the files of one of them", id="turned"),
     ],
 )

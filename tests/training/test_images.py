@@ -297,5 +297,5 @@ def test_a_folder_that_is_not_there_or_cannot_be_written_is_named(tmp_path: Path
     with pytest.raises(DataError, match="nowhere is not a folder of top-down views; run 'cazsl-train images"):
         read_views(tmp_path / "nowhere", OBJECTS)
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(DataError, match=r"file/views cannot be written to \(Not a directory\)"):
+    with pytest.raises(DataError, match=r"file/views cannot be written \(Not a directory\)"):
         write_views(tmp_path / "file" / "views", OBJECTS, quiet=True)
