@@ -28,7 +28,7 @@ $(VENV)/dev: $(VENV)/training
 serve: $(VENV)/serving ## serve models/ on 127.0.0.1:8000 (no torch needed)
 	$(BIN)/cazsl serve
 
-data: $(VENV)/training ## simulate the default dataset into data/simulated/abs
+data: $(VENV)/training ## simulate the default datasets into data/simulated
 	$(BIN)/cazsl-train simulate
 
 train: data ## train push-indicator and publish its next version

@@ -16,6 +16,7 @@ from pathlib import Path
 READINGS = {
     "numpy": "arrays = [np.load(path) for path in sorted(folder.glob('*_3_not_norm.npy'))]",
     "read_folder": "pushes = read_folder(folder)",
+    "... and views": "views = read_views(folder.parent / VIEWS_FOLDER, read_folder(folder).descriptors)",
     "data check": "inspect(folder, quiet=True)",
 }
 CHILD = """
@@ -23,7 +24,9 @@ import json, resource, sys, time
 from pathlib import Path
 import numpy as np
 from training.data import read_folder
+from training.images import read_views
 from training.inspection import inspect
+from training.views import VIEWS_FOLDER
 folder = Path(sys.argv[1])
 started = time.perf_counter()
 {reading}
