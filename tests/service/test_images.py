@@ -222,6 +222,16 @@ def test_the_same_picture_in_memory_and_as_a_file_gives_the_same_bytes(height: i
         assert visual_context(same) == expected
 
 
+@pytest.mark.parametrize("side", [97, 481, 1500])
+def test_the_order_of_summing_does_not_matter(side: int) -> None:
+    """Every sum is exact, so that no processor's way of adding changes a byte."""
+    levels = np.random.default_rng(side).integers(0, 65536, (side, side), dtype=np.uint16)
+    found = visual_context(GreyImage(levels))
+    assert visual_context(GreyImage(np.asfortranarray(levels))) == found
+    turned = np.ascontiguousarray(np.rot90(levels, 2))
+    assert cells(visual_context(GreyImage(turned)))[::-1, ::-1].tobytes() == found.levels
+
+
 def test_a_longer_side_is_cropped_to_its_middle() -> None:
     """An odd pixel goes from the right or the bottom."""
     square = noise(40, 40)
