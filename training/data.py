@@ -11,7 +11,7 @@ import json
 import os
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -47,6 +47,7 @@ class Split:
     name: str
     train: tuple[str, ...]
     test: tuple[str, ...]
+    test_surface: str | None = None  # the folder beside that of the training objects; None: the same folder
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,7 @@ class Pushes:
     valid: FloatArray  # (objects, rows), 1 for a push, 0 for padding
     source: str
     digest: str  # sha256 of the names and bytes of every file read
+    views: npt.NDArray[np.uint8] | None = None  # (objects, 1, 32, 32), the visual context of each object, if read
 
     @property
     def indicators(self) -> FloatArray:
@@ -85,9 +87,19 @@ class Pushes:
                 "simulate them (make data) or choose another folder"
             )
         rows = [place[descriptor] for descriptor in descriptors]
-        return Pushes(
-            tuple(descriptors), self.pushers[rows], self.outcomes[rows], self.valid[rows], self.source, self.digest
+        return replace(
+            self,
+            descriptors=tuple(descriptors),
+            pushers=self.pushers[rows],
+            outcomes=self.outcomes[rows],
+            valid=self.valid[rows],
+            views=None if self.views is None else self.views[rows],
         )
+
+    def with_views(self, views: npt.NDArray[np.uint8]) -> "Pushes":
+        """The same pushes with the visual context of each object, (objects, 1, 32, 32); the digest covers both."""
+        digest = hashlib.sha256(self.digest.encode() + views.tobytes()).hexdigest()
+        return replace(self, views=views, digest=digest)
 
 
 @cache
@@ -109,6 +121,25 @@ def different_objects() -> Split:
     """The published division of the 250 ABS objects: 200 to train on, 50 held out."""
     facts = _facts()["different_objects"]
     return Split("different-objects", tuple(facts["train"]), tuple(facts["test"]))
+
+
+def different_surfaces() -> Split:
+    """All 250 objects on ABS to train on, 10 objects on plywood held out; 9 of them are among the 250."""
+    test = tuple(_facts()["different_surfaces"]["test_plywood"])
+    return Split("different-surfaces", omnipush_descriptors(), test, test_surface="plywood")
+
+
+def different_weights(held_out: int) -> Split:
+    """Objects with this many weights (0, 1 or 2) held out, all others to train on."""
+    found = omnipush_descriptors()
+    test = tuple(name for name in found if weight_count(name) == held_out)
+    train = tuple(name for name in found if weight_count(name) != held_out)
+    return Split(f"different-weights-{held_out}", train, test)
+
+
+def weight_count(descriptor: str) -> int:
+    """How many sides of an object carry a weight."""
+    return sum(side.weight != "a" for side in ObjectContext.from_descriptor(descriptor).sides)
 
 
 def omnipush_descriptors() -> tuple[str, ...]:

@@ -5,10 +5,10 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-import torch
 from click.testing import CliRunner, Result
 
 import service
+from service.contract import ContextKind
 from service.registry import Registry
 from training.cli import main
 from training.data import (
@@ -20,10 +20,11 @@ from training.data import (
     omnipush_descriptors,
     read_folder,
 )
-from training.evaluate import NormalisedPushes, evaluate
+from training.evaluate import evaluate
 from training.fit import WEIGHTS_FILE, load_run
 from training.images import write_views
 from training.recipes import Recipe
+from training.samples import Samples
 from training.simulate import SimulationPlan
 
 
@@ -135,7 +136,7 @@ def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: P
 
 def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, indicator_run: Path) -> None:
     """Method, data and figures, under their names, and the next step."""
-    held_out = NormalisedPushes.of(read_folder(data_folder).select(different_objects().test), torch.device("cpu"))
+    held_out = Samples.of(read_folder(data_folder).select(different_objects().test), ContextKind.INDICATOR)
     figures = evaluate(load_run(indicator_run)[1], held_out)
 
     result = cazsl_train("evaluate", indicator_run, "--data", data_folder)
