@@ -4,8 +4,9 @@
 
 FCN + CM with the indicator context, at the paper's configuration: 200 objects x 250 pushes, 64 objects a batch, Adam at
 0.002. The literal loop repeats each context for each of its 250 pushes and masks every push, takes its batches from a
-data loader, and passes over the 50 test objects after each epoch. Loops take turns, epoch by epoch, so that they share
-whatever else the machine does, and each is measured on the test objects after the same number of epochs.
+data loader, and passes over the 50 test objects after each epoch; it runs in a process of its own, since the trainer's
+allocator settings are a process's. Loops take turns, epoch by epoch, so that they share whatever else the machine does,
+and each is measured on the test objects after the same number of epochs.
 
     python -m benchmarks.training --methods [--epochs 20]
 
@@ -13,10 +14,13 @@ The time of an epoch of every method and context, by turns, on pushes that are r
 """
 
 import argparse
+import math
+import multiprocessing
 import statistics
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import torch
@@ -113,18 +117,46 @@ def take_turns(loops: dict[str, Callable[[], object]], epochs: int) -> dict[str,
     return {name: times[1:] for name, times in seconds.items()}
 
 
-def compare(data: TrainingData, epochs: int) -> None:
+class LiteralEpochs:
+    """The literal loop in a process of its own, which trains an epoch whenever it is asked to."""
+
+    def __init__(self, folder: Path) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self.line, theirs = spawn.Pipe()
+        self.process = spawn.Process(target=serve_literal, args=(folder, theirs), daemon=True)
+        self.process.start()
+        self.figures: tuple[float, float] = self.line.recv()
+
+    def step(self) -> None:
+        """Train an epoch."""
+        self.line.send(True)
+        self.figures = self.line.recv()
+
+    def close(self) -> None:
+        """Let it end."""
+        self.line.send(False)
+        self.process.join()
+
+
+def serve_literal(folder: Path, line: Connection) -> None:
+    """Train an epoch of the literal loop for each true word on the line; answer with its held-out figures."""
+    epochs = literal_epochs(TrainingData.of(different_objects(), ContextKind.INDICATOR, read_folder(folder)))
+    line.send((math.nan, math.nan))  # the data are read
+    while line.recv():
+        line.send(next(epochs))
+
+
+def compare(folder: Path, data: TrainingData, epochs: int) -> None:
     """Ours against the literal loop: time and held-out figures."""
-    literal = literal_epochs(data)
+    keep_freed_memory()
+    literal = LiteralEpochs(folder)
     ours = {
         f"ours, {precision}": OurEpochs(replace(RECIPE, precision=precision), data.train)
         for precision in ("float32", "bfloat16")
     }
-    last: list[tuple[float, float]] = []
-    loops: dict[str, Callable[[], object]] = {"literal": lambda: last.append(next(literal))}
-    loops |= {name: loop.step for name, loop in ours.items()}
-    seconds = take_turns(loops, epochs)
-    figures = {"literal": last[-1]}
+    seconds = take_turns({"literal": literal.step, **{name: loop.step for name, loop in ours.items()}}, epochs)
+    figures = {"literal": literal.figures}
+    literal.close()
     for name, loop in ours.items():
         found = evaluate(loop.network, data.held_out)
         figures[name] = (found.rmse, found.nll)
@@ -139,16 +171,17 @@ def compare(data: TrainingData, epochs: int) -> None:
 
 def compare_methods(epochs: int) -> None:
     """The time of an epoch of every method with every context."""
+    keep_freed_memory()
     torch.manual_seed(0)
     inputs, targets = torch.randn(2, OBJECTS, PUSHES, 3)
-    loops = {}
+    loops: dict[str, Callable[[], object]] = {}
     for method in METHODS.values():
         for kind in filter(method.takes, ContextKind):
             context = (torch.rand(OBJECTS, *PUSH_SHAPES[kind].context) < 0.25).float()
             train = Samples(inputs, targets, torch.ones(OBJECTS, PUSHES), context, (1.0, 1.0, 1.0))
             recipe = replace(RECIPE, method=method.name, context=str(kind))
             loops[f"{method.name} | {kind}"] = OurEpochs(recipe, train).step
-    seconds = take_turns({name: step for name, step in loops.items()}, epochs)
+    seconds = take_turns(loops, epochs)
     print(f"{epochs} epochs of each, by turns, in {_default()}")
     print("| method | context | median s/epoch | fastest | 3000 epochs (min) |")
     print("|---|---|---|---|---|")
@@ -168,14 +201,14 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path("data/simulated/abs"), help="a folder of pushes")
     parser.add_argument("--methods", action="store_true", help="compare the methods instead of the loops")
     options = parser.parse_args()
-    keep_freed_memory()
     print(f"torch {torch.__version__}, {torch.get_num_threads()} threads, {OBJECTS} objects x {PUSHES} pushes")
     if options.methods:
         compare_methods(options.epochs)
-    else:
-        pushes = read_folder(options.data)
-        print(pushes.source)
-        compare(TrainingData.of(different_objects(), ContextKind.INDICATOR, pushes), options.epochs)
+        return
+    pushes = read_folder(options.data)
+    data = TrainingData.of(different_objects(), ContextKind.INDICATOR, pushes)
+    print(pushes.source)
+    compare(options.data, data, options.epochs)
 
 
 if __name__ == "__main__":

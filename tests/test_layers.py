@@ -106,6 +106,22 @@ def test_the_tables_have_no_cycle() -> None:
         placed |= ready
 
 
+def test_the_trainer_s_imports_point_one_way(project_root: Path) -> None:
+    """Every room of it can be placed above those that it imports."""
+    package = project_root / "training"
+    known = {path.stem for path in package.glob("*.py")} | {"recipes"} - {"__init__"}
+    takes = {
+        room: (rooms(imported(path), "training") & known) - {room}
+        for room in known
+        for path in [package / room / "__init__.py" if room == "recipes" else package / f"{room}.py"]
+    }
+    placed: set[str] = set()
+    while len(placed) < len(takes):
+        ready = {room for room, below in takes.items() if room not in placed and below <= placed}
+        assert ready, f"a cycle among {set(takes) - placed}"
+        placed |= ready
+
+
 def test_the_trainer_takes_only_the_shared_rooms_of_the_service(project_root: Path) -> None:
     """Training uses the service's core and nothing of its web side."""
     for path in files(project_root, "training"):

@@ -38,6 +38,11 @@ PUSH_SHAPES: Final = {
 }
 
 
+def bounded(log_std: Tensor) -> Tensor:
+    """Within the limits; for fitted networks only, since a bound has no slope by which training could come back."""
+    return log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
+
+
 class Prediction(NamedTuple):
     """A Gaussian per push and what the context of each object did to the first layer."""
 
@@ -116,7 +121,7 @@ class PushNetwork(nn.Module):
             else:
                 hidden = rounded_dense(hidden, layer.weight, layer.bias)
         mean, log_std = self.last(hidden.to(self.last.weight.dtype)).chunk(2, dim=-1)
-        return mean, log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
+        return mean, log_std if self.training else bounded(log_std)
 
 
 class RoundedDense(torch.autograd.Function):

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from training.losses import gaussian_divergence, gaussian_nll
-from training.networks import LOG_STD_LIMIT, POSE, Prediction
+from training.networks import POSE, Prediction, bounded
 from training.samples import Samples
 
 WIDTH: Final = 128
@@ -120,7 +120,7 @@ class NeuralProcess(nn.Module):
         # the Gaussian itself in float32, whatever the layers were multiplied in
         with torch.autocast(hidden.device.type, enabled=False):
             mean, log_std = self.last(hidden.to(self.last.weight.dtype)).chunk(2, dim=-1)
-        return mean, log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
+        return mean, log_std if self.training else bounded(log_std)
 
     def forward(self, support: Points, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Predict with the mean of the prior: nothing of the targets but their inputs is known."""

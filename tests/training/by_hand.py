@@ -128,7 +128,7 @@ def softmax(value: Array) -> Array:
 
 
 def attention(weights: Weights, name: str, queries: Array, keys: Array, values: Array) -> Array:
-    """Four heads of width 32, softmax(q k / sqrt(32)) v each, mixed, added to the queries and normalised: one object."""
+    """Of one object: four heads of width 32, softmax(q k / sqrt(32)) v, mixed, added to the queries, normalised."""
     q, k, v = (
         dense(weights, f"{name}.{part}", of) for part, of in (("query", queries), ("key", keys), ("value", values))
     )

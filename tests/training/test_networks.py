@@ -208,6 +208,17 @@ def test_bfloat16_products_leave_float32_gaussians(method: str, kind: ContextKin
     assert network.second.weight.grad.dtype is torch.float32
 
 
+def test_the_bound_does_not_hold_training_back() -> None:
+    """Where a log standard deviation is beyond it, its slope still says how to come back."""
+    network = network_of("FCN", NONE).train()
+    with torch.no_grad():
+        network.last.bias[3:] = 50.0
+    torch.autograd.backward(network(some_pushers(1, 4), some_contexts(NONE, 1)).log_std.sum())
+
+    assert network.last.bias.grad is not None
+    assert network.last.bias.grad[3:].tolist() == [4.0] * 3
+
+
 def test_a_rounded_layer_has_the_slopes_of_the_exact_one() -> None:
     """Values and gradients of ReLU(W x + b), to the rounding of bfloat16."""
     torch.manual_seed(7)
