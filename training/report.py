@@ -83,8 +83,8 @@ def _heading(made: Reproduction) -> str:
     shorter = "" if made.epochs == made.experiment.epochs else f" (the paper: {made.experiment.epochs})"
     return f"""# {made.experiment.name}
 
-Data of every figure marked *ours*: **{"; ".join(sources)}**. The paper's figures are from its own data, which are not
-these: compare the order of the methods, not the digits.
+Data of every figure marked *ours*: **{"; ".join(sources)}**.
+The paper's figures are from its own data, which are not these: compare the order of the methods, not the digits.
 
 {held} of the paper's {claims} claims hold. {made.seeds} seeds per row, {made.epochs} epochs{shorter},
 {hours:.1f} hours of training on {devices}. To make this again:
