@@ -1,4 +1,4 @@
-"""``cazsl-train``: simulate pushes, fit a recipe, evaluate it, publish it."""
+"""``cazsl-train``: simulate pushes, draw views, fit a recipe, evaluate it, publish it, reproduce the paper."""
 
 import hashlib
 import time
@@ -6,19 +6,21 @@ from pathlib import Path
 from typing import Final
 
 import click
-import torch
 
 import service
+from service.contract import ContextKind
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
-from training import export, fit, images, recipes, simulate
+from training import export, fit, images, recipes, reproduction, simulate
 from training.command_errors import mend
-from training.data import omnipush_descriptors, plywood_descriptors, published_normalisation, read_folder
+from training.data import different_surfaces, omnipush_descriptors, published_normalisation, read_folder
 from training.data_cli import data
-from training.evaluate import Evaluation, NormalisedPushes
+from training.evaluate import Evaluation
 from training.evaluate import evaluate as evaluate_network
+from training.experiments import EXPERIMENTS, GAUSSIAN_PROCESS, experiments
 from training.inspection_text import likeness_lines
 from training.likeness import likeness, missed
+from training.samples import read_pushes, read_training_data, views_beside
 from training.surfaces import ABS, SURFACES
 from training.views import VIEWS_FOLDER
 
@@ -41,6 +43,7 @@ def main() -> None:
     cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
+    cazsl-train reproduce --all                 every table of the paper, beside the paper's own figures
 
     Every step that was interrupted goes on where it stopped when it is started again.
     """
@@ -53,6 +56,11 @@ data_option = click.option(
     default=DEFAULT_DATA,
     show_default=True,
     help="A folder of Omnipush-format files.",
+)
+views_option = click.option(
+    "--views",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="A folder of top-down views, for visual contexts. [default: top-down_view beside the data]",
 )
 registry_option = click.option(
     "--registry",
@@ -82,7 +90,7 @@ def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads:
     What is already there stays; the default FOLDER is data/simulated.
     """
     for name in SURFACES if surface == "all" else (surface,):
-        objects = omnipush_descriptors() if name == ABS.name else plywood_descriptors()
+        objects = omnipush_descriptors() if name == ABS.name else different_surfaces().test
         plan = simulate.SimulationPlan(objects, pushes, seed, SURFACES[name])
         started = time.perf_counter()
         simulated = simulate.simulate_dataset(plan, folder / name, threads)
@@ -136,48 +144,56 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
 @main.command("fit")
 @click.argument("recipe")
 @data_option
+@views_option
 @click.option("--run", type=click.Path(file_okay=False, path_type=Path), help="The run folder. [default: runs/RECIPE]")
 @mend
-def fit_recipe(recipe: str, folder: Path, run: Path | None) -> None:
+def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None) -> None:
     """Train a RECIPE: the name of one that ships (push-indicator, push-none) or a .toml file."""
     run = run or RUNS / Path(recipe).stem
-    fit.fit(recipes.read_recipe(recipe), read_folder(folder), run)
-    click.echo(f"weights and metrics are in {run}; next: cazsl-train evaluate {run}{_data_words(folder)}")
+    wanted = recipes.read_recipe(recipe)
+    fit.fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views), run)
+    click.echo(f"weights and metrics are in {run}; next: cazsl-train evaluate {run}{_data_words(folder, views)}")
 
 
 @main.command("evaluate")
 @run_argument
 @data_option
+@views_option
 @mend
-def evaluate(run: Path, folder: Path) -> None:
+def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects."""
     recipe, network, _ = fit.load_run(run)
-    split, pushes = recipe.split(), read_folder(folder)
-    found = evaluate_network(network, NormalisedPushes.of(pushes.select(split.test), torch.device("cpu")))
-    click.echo(
-        f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {pushes.source}"
-    )
+    split = recipe.split()
+    data = read_training_data(split, recipe.context_kind, folder, views)
+    found = evaluate_network(network, data.held_out)
+    source = data.origin.get("held_out_source", data.origin["source"])
+    click.echo(f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {source}")
     click.echo(_figures(found))
-    click.echo(f"next: cazsl-train publish {run}{_data_words(folder)}")
+    click.echo(f"next: cazsl-train publish {run}{_data_words(folder, views)}")
 
 
 @main.command("publish")
 @run_argument
 @data_option
+@views_option
 @registry_option
 @click.option("--alias", default=DEFAULT_ALIAS, show_default=True, help="Point this alias at the new version.")
 @click.option("--no-alias", is_flag=True, help="Publish only; whoever asks for the alias gets what they got before.")
 @mend
-def publish(run: Path, folder: Path, registry: Path, alias: str, no_alias: bool) -> None:
+def publish(run: Path, folder: Path, views: Path | None, registry: Path, alias: str, no_alias: bool) -> None:
     """Publish a finished RUN as the next version of its model; a running service picks it up by itself."""
     recipe, network, trained_on = fit.load_run(run)
-    pushes = read_folder(folder)
+    pushes = read_pushes(folder, recipe.context_kind, views)
     if not is_alias(alias):
         raise click.ClickException("an alias is of lower-case letters, digits, '-' and '_', and not a number")
     if pushes.digest != trained_on["sha256"]:
-        raise click.ClickException(f"{folder} is not the data that {run} was trained on; name that with --data")
+        raise click.ClickException(
+            f"{folder} is not the data that {run} was trained on; name that with --data, other views with --views"
+        )
     store = Registry(registry)
-    manifest = export.publish(recipe, network, pushes, store)
+    visual = recipe.context_kind is ContextKind.VISUAL
+    convention = images.convention_of(views or views_beside(folder)) if visual else None
+    manifest = export.publish(recipe, network, pushes, store, convention)
     click.echo(f"published {manifest.name}@{manifest.version} in {registry}")
     if not no_alias:
         store.point_alias(manifest.name, alias, manifest.version)
@@ -185,9 +201,59 @@ def publish(run: Path, folder: Path, registry: Path, alias: str, no_alias: bool)
     click.echo(f"next: cazsl models show {manifest.name}@{manifest.version}")
 
 
-def _data_words(folder: Path) -> str:
-    """The option that the next command needs as well."""
-    return "" if folder == DEFAULT_DATA else f" --data {folder}"
+@main.command("reproduce")
+@click.argument("names", nargs=-1, metavar="[NAME]...", type=click.Choice(EXPERIMENTS))
+@click.option("--all", "everything", is_flag=True, help="Every experiment, in the paper's order.")
+@click.option("--epochs", type=click.IntRange(1), help="Epochs per run. [default: the paper's]")
+@click.option("--seeds", type=click.IntRange(1), help="Seeds per row. [default: 3; gaussian-process 10, as the paper]")
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=RUNS / "reproduce",
+    show_default=True,
+    help="A folder with a folder per experiment.",
+)
+@data_option
+@views_option
+@mend
+def reproduce(
+    names: tuple[str, ...],
+    everything: bool,
+    epochs: int | None,
+    seeds: int | None,
+    out: Path,
+    folder: Path,
+    views: Path | None,
+) -> None:
+    """Rebuild tables of the paper beside the paper's own figures.
+
+    \b
+    gaussian-process     the regression of section IV-A; draws its own data
+    different-objects    200 objects to train on, 50 others to test on
+    different-surfaces   ABS to train on, plywood (the folder beside --data) to test on
+    different-weights    objects with 0, 1 or 2 weights to test on, the others to train on
+
+    Each writes README.md, figures.json and a plot into its folder, and a run folder per row and seed. Interrupted, it
+    goes on where it stopped when it is started again. To try it: --epochs 100 --seeds 1 --out runs/trial
+    """
+    if everything == bool(names):
+        raise click.UsageError(f"give one or more of {', '.join(EXPERIMENTS)}, or --all")
+    from training import report  # matplotlib is slow to load, and no other command of training needs it
+
+    for name in EXPERIMENTS if everything else names:
+        experiment = experiments()[name]
+        rounds, runs = epochs or experiment.epochs, seeds or experiment.seeds
+        read = reproduction.data_reader(experiment, folder, views)
+        results = reproduction.reproduce(experiment, read, out / name, runs, rounds)
+        command = f"cazsl-train reproduce {name} --epochs {rounds} --seeds {runs} --out {out}"
+        command += "" if name == GAUSSIAN_PROCESS else _data_words(folder, views)
+        path = report.write_report(report.Reproduction(experiment, results, runs, rounds, command), out / name)
+        click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")
+
+
+def _data_words(folder: Path, views: Path | None) -> str:
+    """The options that the next command needs as well."""
+    return ("" if folder == DEFAULT_DATA else f" --data {folder}") + ("" if views is None else f" --views {views}")
 
 
 def _figures(found: Evaluation) -> str:

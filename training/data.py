@@ -9,7 +9,7 @@ holds ``dataset.json``, which says so: everything made from it carries that name
 import hashlib
 import json
 from collections.abc import Collection, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -67,6 +67,7 @@ class Split:
     name: str
     train: tuple[str, ...]
     test: tuple[str, ...]
+    test_surface: str | None = None  # the folder beside that of the training objects; None: the same folder
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ class Pushes:
     valid: FloatArray  # (objects, rows), 1 for a push, 0 for padding
     source: str
     digest: str  # sha256 of the names and bytes of every file read
+    views: npt.NDArray[np.uint8] | None = None  # (objects, 1, 32, 32), the visual context of each object, if read
 
     @property
     def indicators(self) -> FloatArray:
@@ -106,7 +108,19 @@ class Pushes:
         """
         found = find_kinds(descriptors, self.descriptors)
         rows = [self.descriptors.index(descriptor) for descriptor in found]
-        return Pushes(tuple(found), self.pushers[rows], self.outcomes[rows], self.valid[rows], self.source, self.digest)
+        return replace(
+            self,
+            descriptors=tuple(found),
+            pushers=self.pushers[rows],
+            outcomes=self.outcomes[rows],
+            valid=self.valid[rows],
+            views=None if self.views is None else self.views[rows],
+        )
+
+    def with_views(self, views: npt.NDArray[np.uint8]) -> "Pushes":
+        """The same pushes with the visual context of each object, (objects, 1, 32, 32); the digest covers both."""
+        digest = hashlib.sha256(self.digest.encode() + views.tobytes()).hexdigest()
+        return replace(self, views=views, digest=digest)
 
 
 @cache
@@ -130,9 +144,23 @@ def different_objects() -> Split:
     return Split("different-objects", tuple(facts["train"]), tuple(facts["test"]))
 
 
-def plywood_descriptors() -> tuple[str, ...]:
-    """The 10 objects that were also pushed on plywood; one of them is none of the 250."""
-    return tuple(_facts()["different_surfaces"]["test_plywood"])
+def different_surfaces() -> Split:
+    """All 250 objects on ABS to train on, 10 objects on plywood held out; 9 of them are among the 250."""
+    test = tuple(_facts()["different_surfaces"]["test_plywood"])
+    return Split("different-surfaces", omnipush_descriptors(), test, test_surface="plywood")
+
+
+def different_weights(held_out: int) -> Split:
+    """Objects with this many weights (0, 1 or 2) held out, all others to train on."""
+    found = omnipush_descriptors()
+    test = tuple(name for name in found if weight_count(name) == held_out)
+    train = tuple(name for name in found if weight_count(name) != held_out)
+    return Split(f"different-weights-{held_out}", train, test)
+
+
+def weight_count(descriptor: str) -> int:
+    """How many sides of an object carry a weight."""
+    return sum(side.weight != "a" for side in ObjectContext.from_descriptor(descriptor).sides)
 
 
 def omnipush_descriptors() -> tuple[str, ...]:

@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor
 
 from service.contract import FloatArray
-from training.data import Normalisation, Pushes, published_normalisation
 from training.networks import PushNetwork
+from training.neural_process import NeuralProcess, predict_targets
+from training.samples import Samples
 
 DISTANCE_MM_PER_RMSE: Final = 21.92  # the paper's factor: norm of the x and y output deviations
 COVERAGE_LEVELS: Final = (0.50, 0.90, 0.95)
@@ -20,54 +20,44 @@ COVERAGE_LEVELS: Final = (0.50, 0.90, 0.95)
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures over all valid pushes and the 3 outputs; normalised units unless a name says otherwise."""
+    """Figures over all valid samples and their outputs; normalised units unless a name says otherwise."""
 
     rmse: float
     std: float  # exp of the mean predicted log standard deviation
     distance_mm: float
-    nll: float  # per push, summed over the 3 outputs
+    nll: float  # per push, summed over the outputs
     coverage: dict[float, float]  # share of values inside each central interval
-    sharpness: tuple[float, float, float]  # mean predicted std in metres, metres, radians
+    sharpness: tuple[float, ...]  # mean predicted std of each output; of pushes in metres, metres, radians
 
 
-@dataclass(frozen=True)
-class NormalisedPushes:
-    """Pushes as the networks take them, on the device that fits them."""
+def evaluate(network: PushNetwork | NeuralProcess, samples: Samples, leak: bool = False) -> Evaluation:
+    """Measure a network on samples; a neural process on those that it is not given as support, from its prior.
 
-    pusher: Tensor  # (objects, pushes, 3)
-    outcome: Tensor  # (objects, pushes, 3)
-    valid: Tensor  # (objects, pushes)
-    context: Tensor  # (objects, 36)
-
-    @classmethod
-    def of(cls, pushes: Pushes, device: torch.device) -> "NormalisedPushes":
-        """Normalise with the published statistics."""
-        known = published_normalisation()
-        pusher = (pushes.pushers - known.input_mean) / known.input_std
-        outcome = (pushes.outcomes - known.output_mean) / known.output_std
-        arrays = (pusher, outcome, pushes.valid, pushes.indicators)
-        return cls(*(torch.from_numpy(array.astype(np.float32)).to(device) for array in arrays))
-
-
-def evaluate(network: PushNetwork, pushes: NormalisedPushes) -> Evaluation:
-    """Measure a network on pushes."""
+    ``leak`` shows a neural process the targets before it predicts them, as the published evaluation does.
+    """
+    training = network.training
+    network.eval()
     with torch.inference_mode():
-        mean, log_std, _ = network(pushes.pusher, pushes.context)
-    present = pushes.valid > 0
-    arrays = [values[present].cpu().numpy() for values in (mean, log_std, pushes.outcome)]
-    return measure(arrays[0], arrays[1], arrays[2], published_normalisation())
+        if isinstance(network, NeuralProcess):
+            found, points = predict_targets(network, samples, leak=leak)
+            target, valid = points.targets, points.valid
+        else:
+            found, target, valid = network(samples.inputs, samples.context), samples.targets, samples.valid
+    network.train(training)
+    mean, log_std, outcome = (values[valid > 0].cpu().numpy() for values in (found.mean, found.log_std, target))
+    return measure(mean, log_std, outcome, samples.target_std)
 
 
-def measure(mean: FloatArray, log_std: FloatArray, outcome: FloatArray, known: Normalisation) -> Evaluation:
-    """The measures of normalised Gaussians (n, 3) against normalised outcomes (n, 3)."""
+def measure(mean: FloatArray, log_std: FloatArray, outcome: FloatArray, target_std: tuple[float, ...]) -> Evaluation:
+    """The measures of normalised Gaussians (n, outputs) against normalised outcomes; ``target_std`` is their unit."""
     error = outcome.astype(np.float64) - mean
     z = error * np.exp(-log_std.astype(np.float64))
     rmse = math.sqrt(float(np.mean(error**2)))
     nll = float(np.mean(np.sum(0.5 * z**2 + log_std + 0.5 * math.log(2.0 * math.pi), axis=-1)))
     coverage = {level: _coverage(z, level) for level in COVERAGE_LEVELS}
-    x_m, y_m, yaw_rad = (np.exp(log_std.astype(np.float64)).mean(axis=0) * known.output_std).tolist()
+    sharpness = tuple((np.exp(log_std.astype(np.float64)).mean(axis=0) * np.array(target_std)).tolist())
     std = math.exp(float(np.mean(log_std, dtype=np.float64)))
-    return Evaluation(rmse, std, rmse * DISTANCE_MM_PER_RMSE, nll, coverage, (x_m, y_m, yaw_rad))
+    return Evaluation(rmse, std, rmse * DISTANCE_MM_PER_RMSE, nll, coverage, sharpness)
 
 
 def _coverage(z: npt.NDArray[np.float64], level: float) -> float:

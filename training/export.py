@@ -7,7 +7,6 @@ and gathered per push. Before anything is published, onnxruntime must agree with
 import logging
 import math
 import warnings
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final
 
@@ -17,8 +16,8 @@ import torch
 from torch import Tensor, nn
 
 import service
-from service.contract import POSE_NAMES, ContextKind, FloatArray, IndexArray
-from service.errors import PublishError
+from service.contract import POSE_NAMES, ContextKind
+from service.errors import DataError, PublishError
 from service.manifest import (
     OUTPUTS,
     Calibration,
@@ -32,9 +31,12 @@ from service.manifest import (
 from service.predictor import OnnxPredictor
 from service.registry import Registry
 from training.data import Pushes, published_normalisation
-from training.evaluate import COVERAGE_LEVELS, Evaluation, NormalisedPushes, evaluate
+from training.evaluate import COVERAGE_LEVELS, Evaluation, evaluate
 from training.networks import PushNetwork
+from training.neural_process import NeuralProcess
+from training.probes import Batch, extreme_batch, feed, probe_batch
 from training.recipes import Recipe
+from training.samples import Samples
 
 OPSET: Final = 18
 # Torch and onnxruntime sum in another order: float32 leaves a few units in the sixth digit. One tolerance for both
@@ -60,12 +62,19 @@ class ServedNetwork(nn.Module):
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
         """Mean and std (n, 3) of pushes (n, 3) of the objects ``context[context_index]``."""
-        mask = None
+        mean, std = self.unwrapped(pusher, context, context_index)
+        return wrap_last(mean), std
+
+    def unwrapped(
+        self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """The same with the angle as the network gives it: rounding is in proportion to this one."""
+        conditioning = None
         if context is not None and context_index is not None:
-            mask = self.network.mask(context)  # (g, 256): once per object
-            mask = None if mask is None else mask[context_index]  # (n, 256)
-        mean, log_std = self.network.gaussian((wrap_last(pusher) - self.input_mean) / self.input_std, mask)
-        return wrap_last(mean * self.output_std + self.output_mean), torch.exp(log_std) * self.output_std
+            conditioning = self.network.conditioning(context)  # (g, 256): once per object
+            conditioning = None if conditioning is None else conditioning[context_index]  # (n, 256)
+        mean, log_std = self.network.gaussian((wrap_last(pusher) - self.input_mean) / self.input_std, conditioning)
+        return mean * self.output_std + self.output_mean, torch.exp(log_std) * self.output_std
 
 
 def wrap_last(pose: Tensor) -> Tensor:
@@ -74,19 +83,10 @@ def wrap_last(pose: Tensor) -> Tensor:
     return torch.cat([position, angle - 2.0 * math.pi * torch.ceil((angle - math.pi) / (2.0 * math.pi))], dim=-1)
 
 
-@dataclass(frozen=True)
-class Batch:
-    """Inputs of a graph."""
-
-    pusher: FloatArray  # (n, 3)
-    context: FloatArray  # (g, 36)
-    context_index: IndexArray  # (n,)
-
-
 def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
     """The network as an ONNX graph in one file, without a trace of the machine that made it."""
     served = ServedNetwork(network).eval()
-    example = probe_batch(pushes=3, objects=2)
+    example = probe_batch(kind, pushes=3, objects=2)
     arguments = tuple(torch.from_numpy(array) for array in feed(example, kind))
     names = [tensor.name for tensor in expected_inputs(kind)]
     pushes, objects = torch.export.Dim("n"), torch.export.Dim("g")
@@ -125,36 +125,6 @@ def strip_origin(model: onnx.ModelProto) -> None:
         tensor.doc_string = ""
 
 
-def probe_batch(pushes: int, objects: int, seed: int = 0) -> Batch:
-    """Plausible pushes of random objects, the same for the same seed."""
-    rng = np.random.default_rng(seed)
-    side = np.concatenate(
-        [np.eye(4)[rng.integers(4, size=(objects, 4))], np.eye(5)[rng.integers(3, size=(objects, 4))]], -1
-    )
-    bearing = rng.uniform(-math.pi, math.pi, pushes)
-    start = 0.08 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    angle = bearing + math.pi + rng.uniform(-0.3, 0.3, pushes)
-    pusher = np.column_stack([start, np.arctan2(np.sin(angle), np.cos(angle))]).astype(np.float32)
-    return Batch(pusher, side.reshape(objects, 36).astype(np.float32), rng.integers(objects, size=pushes))
-
-
-def extreme_batch() -> Batch:
-    """Inputs at every border: angles at pi and many turns away, positions up to a metre, empty and full contexts.
-
-    Further away float32 itself runs out: the activations grow with the distance, and a wrapped angle keeps their error.
-    """
-    places = (-1.0, -0.05, -0.0, 1e-30, 0.05, 1.0)
-    angles = (-1e3, -1.0, -math.pi, -0.0, 1e-30, math.pi, 1.0, 1e3)
-    pusher = np.array([(x, y, angle) for x in places for y in places for angle in angles], dtype=np.float32)
-    context = np.stack([np.zeros(36), np.ones(36), *probe_batch(1, 6, seed=1).context]).astype(np.float32)
-    return Batch(pusher, context, np.arange(len(pusher)) % len(context))
-
-
-def feed(batch: Batch, kind: ContextKind) -> tuple[FloatArray | IndexArray, ...]:
-    """The arrays that a graph of this kind takes, in order."""
-    return (batch.pusher,) if kind is ContextKind.NONE else (batch.pusher, batch.context, batch.context_index)
-
-
 def check_parity(network: PushNetwork, model: bytes, kind: ContextKind) -> float:
     """The largest difference between torch and onnxruntime on plausible pushes, in SI units; extreme ones agree too.
 
@@ -166,30 +136,46 @@ def check_parity(network: PushNetwork, model: bytes, kind: ContextKind) -> float
     def compare(batch: Batch) -> float:
         """The largest difference for this batch."""
         found = np.stack(predictor.predict(batch.pusher, batch.context, batch.context_index))
+        arguments = [torch.from_numpy(array) for array in feed(batch, kind)]
         with torch.inference_mode():
-            tensors = served(*(torch.from_numpy(array) for array in feed(batch, kind)))
-        expected = np.stack([tensor.numpy() for tensor in tensors])
+            expected, size = (
+                np.stack([tensor.numpy() for tensor in gaussian])
+                for gaussian in (served(*arguments), served.unwrapped(*arguments))
+            )
         difference = np.abs(found - expected)
         difference[0, :, 2] = np.minimum(difference[0, :, 2], 2.0 * math.pi - difference[0, :, 2])  # pi is -pi
-        if (difference > PARITY_TOLERANCE + PARITY_RELATIVE * np.abs(expected)).any():
+        if (difference > PARITY_TOLERANCE + PARITY_RELATIVE * np.abs(size)).any():
             raise PublishError(f"onnxruntime differs from torch by {difference.max():.2e}; nothing was published")
         return float(difference.max())
 
-    compare(extreme_batch())
-    return max(compare(probe_batch(1000, 37, seed=2)), compare(probe_batch(1, 1, seed=3)))
+    compare(extreme_batch(kind))
+    return max(compare(probe_batch(kind, 1000, 37, seed=2)), compare(probe_batch(kind, 1, 1, seed=3)))
 
 
-def publish(recipe: Recipe, network: PushNetwork, pushes: Pushes, registry: Registry) -> Manifest:
+def publish(
+    recipe: Recipe,
+    network: PushNetwork | NeuralProcess,
+    pushes: Pushes,
+    registry: Registry,
+    image_convention: str | None = None,
+) -> Manifest:
     """Measure, export, check and publish a fitted network as the next version of the recipe's model.
+
+    ``image_convention`` says how the views were taken that a visual model was trained on.
 
     Raises:
         PublishError: the graph disagrees with torch, or the disk refused; nothing became visible.
-        DataError: the data lack objects of the split.
+        DataError: the data lack objects of the split, or the method is not one to serve.
     """
-    kind = recipe.network().context_kind
+    kind = recipe.context_kind
     split = recipe.split()
+    if not isinstance(network, PushNetwork) or split.test_surface is not None:
+        raise DataError(
+            f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
+            "surface it was trained on; publish another method, or a run of another set-up"
+        )
     train, held_out = pushes.select(split.train), pushes.select(split.test)
-    found = evaluate(network, NormalisedPushes.of(held_out, torch.device("cpu")))
+    found = evaluate(network, Samples.of(held_out, kind))
     if not math.isfinite(found.nll):
         raise PublishError("the network's held-out figures are not finite; nothing was published")
     model = export_onnx(network, kind)
@@ -205,7 +191,7 @@ def publish(recipe: Recipe, network: PushNetwork, pushes: Pushes, registry: Regi
         normalisation=NormalisationRecord(
             **{name: list(value) for name, value in vars(published_normalisation()).items()}
         ),
-        image_convention=None,
+        image_convention=image_convention,
         recipe=recipe.record(),
         data=DataRecord(
             source=pushes.source,
@@ -279,11 +265,11 @@ def _calibration(found: Evaluation) -> Calibration:
 
 def _self_check(model: bytes, kind: ContextKind) -> SelfCheck:
     """A small batch with the answers of the graph itself, for every later load."""
-    batch = probe_batch(pushes=4, objects=2, seed=4)
+    batch = probe_batch(kind, pushes=4, objects=2, seed=4)
     mean, std = OnnxPredictor(model, kind).predict(batch.pusher, batch.context, batch.context_index)
     return SelfCheck(
         pusher=batch.pusher.tolist(),
-        context=batch.context.tolist(),
+        context=batch.context.reshape(len(batch.context), -1).tolist(),
         context_index=batch.context_index.tolist(),
         mean=mean.tolist(),
         std=std.tolist(),

@@ -1,13 +1,15 @@
 """The training loop: Siamese halves of a batch of objects, Adam, a record of every epoch.
 
 A run folder holds ``config.json`` (recipe, data, code version), ``metrics.jsonl`` (a line per epoch), ``checkpoint.pt``
-(while running) and at the end ``weights.safetensors``. Batches depend on the seed and the epoch's number alone, so a
-run that was killed continues from its last checkpoint as one that was not: to the same weights on one thread. On
-several, two runs of one seed differ by rounding from the first epoch on (1e-6 of the loss) and drift apart with time.
+(while running) and at the end ``cost.json`` (seconds, device) and ``weights.safetensors``. Batches, and all else that
+is random, depend on the seed and the epoch's number alone, so a run that was killed continues from its last checkpoint
+as one that was not: to the same weights on one thread. On several, two runs of one seed differ by rounding from the
+first epoch on (1e-6 of the loss in float32) and drift apart with time.
 """
 
 import ctypes
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -22,89 +24,144 @@ from tqdm import tqdm
 
 import service
 from service.errors import DataError
-from training.data import Pushes
-from training.evaluate import NormalisedPushes, evaluate
-from training.losses import gaussian_nll, l2_regulariser
-from training.networks import PushNetwork
+from training import neural_process
+from training.evaluate import evaluate
+from training.losses import context_regulariser, gaussian_nll
+from training.methods import Method
+from training.networks import PUSH_SHAPES, PushNetwork, Shape
+from training.neural_process import NeuralProcess
 from training.recipes import Recipe, parse_recipe_record
+from training.samples import Samples, TrainingData
 
 CONFIG_FILE: Final = "config.json"
 METRICS_FILE: Final = "metrics.jsonl"
 CHECKPOINT_FILE: Final = "checkpoint.pt"
 WEIGHTS_FILE: Final = "weights.safetensors"
+COST_FILE: Final = "cost.json"
 CHECKPOINT_EVERY_S: Final = 30.0
 HELD_OUT_EVERY_EPOCHS: Final = 25
+Network = PushNetwork | NeuralProcess
 
 
-def fit(recipe: Recipe, pushes: Pushes, folder: Path, quiet: bool = False) -> PushNetwork:
+def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, bar: int = 0) -> Network:
     """Train what the recipe says, or continue where the run folder stopped; the weights of the last epoch.
 
+    ``bar`` is the line of the progress bar, for callers that have bars of their own.
+
     Raises:
-        DataError: objects are missing, or the folder holds another run.
+        DataError: the folder holds another run.
     """
     keep_freed_memory()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    split = recipe.split()
-    train = NormalisedPushes.of(pushes.select(split.train), device)
-    held_out = NormalisedPushes.of(pushes.select(split.test), device)
+    train, held_out = data.train.to(device), data.held_out.to(device)
+    dtype = product_dtype(recipe.precision, device)
 
     torch.manual_seed(recipe.seed)
-    network = PushNetwork(recipe.network().masked).to(device)
+    network = build_network(recipe.network(), train.shape).to(device)
     adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
-    _open_run(folder, recipe, pushes)
-    first_epoch = _resume(folder, network, adam)
+    _open_run(folder, recipe, data)
+    first_epoch, seconds = _resume(folder, network, adam)
 
-    rmse = float("nan")
-    saved_at = time.monotonic()
-    epochs = range(first_epoch, recipe.epochs)
+    rmse, spent = float("nan"), seconds
+    started = saved_at = time.monotonic()
     with (
         (folder / METRICS_FILE).open("a", encoding="utf-8") as metrics,
         tqdm(
-            epochs, initial=first_epoch, total=recipe.epochs, desc=recipe.method, unit="epoch", disable=quiet
+            range(first_epoch, recipe.epochs),
+            initial=first_epoch,
+            total=recipe.epochs,
+            desc=recipe.method,
+            unit="epoch",
+            disable=quiet,
+            position=bar,
+            leave=bar == 0,
         ) as progress,
     ):
         for epoch in progress:
-            likelihood, regulariser = train_epoch(network, adam, train, recipe, epoch)
+            likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype)
             last = epoch == recipe.epochs - 1
-            line = {"epoch": epoch, "nll": likelihood, "regulariser": regulariser}
+            line = {"epoch": epoch, "nll": likelihood, "regulariser": penalty}
             if last or epoch % HELD_OUT_EVERY_EPOCHS == 0:
                 rmse = evaluate(network, held_out).rmse
                 line["held_out_rmse"] = rmse
             metrics.write(json.dumps(line) + "\n")
-            progress.set_postfix(loss=f"{likelihood + regulariser:.3f}", held_out_rmse=f"{rmse:.3f}", refresh=False)
-            if last or time.monotonic() - saved_at > CHECKPOINT_EVERY_S:
+            progress.set_postfix(loss=f"{likelihood + penalty:.3f}", held_out_rmse=f"{rmse:.3f}", refresh=False)
+            now = time.monotonic()
+            if last or now - saved_at > CHECKPOINT_EVERY_S:
                 metrics.flush()
-                _save_checkpoint(folder, network, adam, epoch + 1)
-                saved_at = time.monotonic()
-    part = folder / (WEIGHTS_FILE + ".part")
-    save_file({name: value.cpu() for name, value in network.state_dict().items()}, part)
-    part.replace(folder / WEIGHTS_FILE)
-    return network
+                spent = seconds + now - started
+                _save_checkpoint(folder, network, adam, epoch + 1, spent)
+                saved_at = now
+    if first_epoch < recipe.epochs:
+        _write_cost(folder, {"seconds": round(spent, 1), "device": device.type, "precision": str(dtype)[6:]})
+    _write_weights(folder, network)
+    return network.eval()
 
 
 def train_epoch(
-    network: PushNetwork, adam: torch.optim.Optimizer, train: NormalisedPushes, recipe: Recipe, epoch: int
+    network: Network,
+    adam: torch.optim.Optimizer,
+    train: Samples,
+    recipe: Recipe,
+    epoch: int,
+    dtype: torch.dtype = torch.float32,
 ) -> tuple[float, float]:
-    """One pass over all objects; the mean likelihood and regulariser over its batches."""
-    order = np.random.default_rng([recipe.seed, epoch]).permutation(len(train.context))
-    sums, batches = torch.zeros(2, device=train.context.device), 0
-    for batch in torch.split(torch.from_numpy(order).to(train.context.device), recipe.batch_objects):
-        context = train.context[batch]
-        mean, log_std, mask = network(train.pusher[batch], context)
-        likelihood = gaussian_nll(mean, log_std, train.outcome[batch], train.valid[batch])
-        regulariser = likelihood.new_zeros(())
-        if recipe.network().regularised and mask is not None:
-            regulariser = l2_regulariser(mask, context, recipe.lambda_1, recipe.lambda_2)
+    """One pass over all objects; the mean likelihood and penalty (regulariser, or divergence) over its batches."""
+    rng = np.random.default_rng([recipe.seed, epoch])
+    order = torch.from_numpy(rng.permutation(len(train.context))).to(train.context.device)
+    batches = torch.split(order, recipe.batch_objects)
+    if isinstance(network, NeuralProcess):  # it draws supports and latents as well, again from seed and epoch alone
+        torch.manual_seed(int(rng.integers(2**63)))
+    network.train()
+    sums = torch.zeros(2, device=train.context.device)
+    for step, batch in enumerate(batches, start=1 + epoch * len(batches)):
+        adam.param_groups[0]["lr"] = learning_rate(recipe, step)
+        likelihood, penalty = _loss_terms(network, train.select(batch), recipe, dtype)
         adam.zero_grad()
-        torch.autograd.backward(likelihood + regulariser)
+        torch.autograd.backward(likelihood + penalty)
         adam.step()
-        sums += torch.stack([likelihood.detach(), regulariser.detach()])
-        batches += 1
-    likelihood_sum, regulariser_sum = (sums / batches).tolist()
-    return likelihood_sum, regulariser_sum
+        sums += torch.stack([likelihood.detach(), penalty.detach()])
+    mean_likelihood, mean_penalty = (sums / len(batches)).tolist()
+    return mean_likelihood, mean_penalty
 
 
-def load_run(folder: Path) -> tuple[Recipe, PushNetwork, dict[str, Any]]:
+def learning_rate(recipe: Recipe, step: int) -> float:
+    """The rate of a step, counted from 1: ``rate sqrt(w) min(step w^-1.5, step^-0.5)`` with w steps of warm-up."""
+    warm_up = recipe.warm_up_steps
+    if warm_up == 0:
+        return recipe.learning_rate
+    return recipe.learning_rate * math.sqrt(warm_up) * min(step / math.pow(warm_up, 1.5), 1.0 / math.sqrt(step))
+
+
+def build_network(method: Method, shape: Shape) -> Network:
+    """A fresh network of a method, from torch's generator."""
+    return NeuralProcess(shape.inputs, shape.outputs) if method.neural_process else PushNetwork(method, shape)
+
+
+def product_dtype(precision: str, device: torch.device) -> torch.dtype:
+    """The type of the wide matrix products; ``auto`` takes bfloat16 where the processor itself multiplies it."""
+    if precision != "auto":
+        return torch.bfloat16 if precision == "bfloat16" else torch.float32
+    if device.type == "cuda":
+        able = torch.cuda.is_bf16_supported(including_emulation=False)
+    else:
+        processor = torch.cpu.get_capabilities()
+        able = any(processor.get(name) for name in ("avx512_bf16", "amx_bf16"))
+    return torch.bfloat16 if able else torch.float32
+
+
+def _loss_terms(network: Network, batch: Samples, recipe: Recipe, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """Likelihood and penalty of a batch."""
+    if isinstance(network, NeuralProcess):
+        return neural_process.loss_terms(network, batch, dtype)
+    mean, log_std, mask = network(batch.inputs, batch.context, dtype)
+    likelihood = gaussian_nll(mean, log_std, batch.targets, batch.valid)
+    if network.distance is None:
+        return likelihood, likelihood.new_zeros(())
+    return likelihood, context_regulariser(mask, batch.context, network.distance, recipe.lambda_1, recipe.lambda_2)
+
+
+def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:
     """The recipe, the fitted network and the recorded data of a finished run.
 
     Raises:
@@ -118,9 +175,9 @@ def load_run(folder: Path) -> tuple[Recipe, PushNetwork, dict[str, Any]]:
             f"{folder} is not a finished run; finish it with: cazsl-train fit RECIPE --run {folder}"
         ) from error
     recipe = parse_recipe_record(config["recipe"], str(folder / CONFIG_FILE))
-    network = PushNetwork(recipe.network().masked)
+    network = build_network(recipe.network(), PUSH_SHAPES[recipe.context_kind])
     network.load_state_dict(weights)
-    return recipe, network, config["data"]
+    return recipe, network.eval(), config["data"]
 
 
 def keep_freed_memory() -> None:
@@ -135,12 +192,12 @@ def keep_freed_memory() -> None:
             mallopt(-1, 2**31 - 1)  # M_TRIM_THRESHOLD
 
 
-def _open_run(folder: Path, recipe: Recipe, pushes: Pushes) -> None:
+def _open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
     """Write what the run is, or check that the folder holds the same one."""
     folder.mkdir(parents=True, exist_ok=True)
     config = {
         "recipe": recipe.record(),
-        "data": {"source": pushes.source, "sha256": pushes.digest},
+        "data": data.origin,
         "code_version": service.__version__,
     }
     text = json.dumps(config, indent=2, sort_keys=True) + "\n"
@@ -150,22 +207,36 @@ def _open_run(folder: Path, recipe: Recipe, pushes: Pushes) -> None:
     path.write_text(text, encoding="utf-8")
 
 
-def _save_checkpoint(folder: Path, network: PushNetwork, adam: torch.optim.Optimizer, next_epoch: int) -> None:
+def _save_checkpoint(
+    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, seconds: float
+) -> None:
     part = folder / (CHECKPOINT_FILE + ".part")
-    torch.save({"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch}, part)
+    state = {"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch, "seconds": seconds}
+    torch.save(state, part)
     part.replace(folder / CHECKPOINT_FILE)
 
 
-def _resume(folder: Path, network: PushNetwork, adam: torch.optim.Optimizer) -> int:
-    """Load the last checkpoint, drop the metrics written after it, and return the epoch to go on with."""
+def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, float]:
+    """Load the last checkpoint, drop the metrics written after it; the epoch to go on with, and the seconds so far."""
     path, metrics = folder / CHECKPOINT_FILE, folder / METRICS_FILE
-    next_epoch = 0
+    next_epoch, seconds = 0, 0.0
     if path.is_file():
-        checkpoint = torch.load(path, weights_only=True)
+        checkpoint = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(checkpoint["network"])
         adam.load_state_dict(checkpoint["adam"])
-        next_epoch = int(checkpoint["next_epoch"])
+        next_epoch, seconds = int(checkpoint["next_epoch"]), float(checkpoint["seconds"])
     if metrics.is_file():
         lines = metrics.read_text(encoding="utf-8").splitlines(keepends=True)
         metrics.write_text("".join(lines[:next_epoch]), encoding="utf-8")
-    return next_epoch
+    return next_epoch, seconds
+
+
+def _write_cost(folder: Path, cost: dict[str, str | float]) -> None:
+    """Write what the training took."""
+    (folder / COST_FILE).write_text(json.dumps(cost, sort_keys=True) + "\n", encoding="utf-8")
+
+
+def _write_weights(folder: Path, network: Network) -> None:
+    part = folder / (WEIGHTS_FILE + ".part")
+    save_file({name: value.cpu() for name, value in network.state_dict().items()}, part)
+    part.replace(folder / WEIGHTS_FILE)

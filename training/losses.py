@@ -1,23 +1,26 @@
 """The Siamese objective of the paper's section III: Gaussian likelihood plus the context regulariser."""
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
 
 def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor) -> Tensor:
-    """Negative log likelihood averaged over all valid pushes and the 3 outputs.
+    """Negative log likelihood averaged over all valid pushes and their outputs.
 
-    ``mean``, ``log_std`` and ``target`` are (objects, pushes, 3), ``valid`` is (objects, pushes) of zeros and ones.
+    ``mean``, ``log_std`` and ``target`` are (objects, pushes, outputs), ``valid`` is (objects, pushes): one or zero.
     """
     scaled = (target - mean) * torch.exp(-log_std)
     per_output = 0.5 * scaled * scaled + log_std + 0.5 * math.log(2.0 * math.pi)
     return (per_output * valid[..., None]).sum() / (valid.sum() * target.shape[-1])
 
 
-def l2_regulariser(mask: Tensor, context: Tensor, lambda_1: float, lambda_2: float) -> Tensor:
-    """``lambda_1 (|m(c) - m(c')| - lambda_2 |c - c'|)^2`` averaged over the Siamese pairs of a batch.
+def context_regulariser(
+    mask: Tensor, context: Tensor, distance: Callable[[Tensor, Tensor], Tensor], lambda_1: float, lambda_2: float
+) -> Tensor:
+    """``lambda_1 (|m(c) - m(c')| - lambda_2 d(c, c'))^2`` averaged over the Siamese pairs of a batch.
 
     The batch is cut into two halves; object i of the first half is paired with object i of the second. Of an odd
     batch the last object has no partner and is left out.
@@ -26,6 +29,12 @@ def l2_regulariser(mask: Tensor, context: Tensor, lambda_1: float, lambda_2: flo
     if half == 0:
         return mask.new_zeros(())
     mask_distance = torch.linalg.vector_norm(mask[:half] - mask[half : 2 * half], dim=-1)
-    context_distance = torch.linalg.vector_norm(context[:half] - context[half : 2 * half], dim=-1)
-    difference: Tensor = mask_distance - lambda_2 * context_distance
+    difference: Tensor = mask_distance - lambda_2 * distance(context[:half], context[half : 2 * half])
     return lambda_1 * difference.square().mean()
+
+
+def gaussian_divergence(mean: Tensor, std: Tensor, prior_mean: Tensor, prior_std: Tensor) -> Tensor:
+    """Kullback-Leibler divergence of independent Gaussians from a prior, summed over the last axis."""
+    ratio = std / prior_std
+    shift = (mean - prior_mean) / prior_std
+    return (0.5 * (ratio * ratio + shift * shift - 1.0) - torch.log(ratio)).sum(dim=-1)

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from training.data import different_objects, plywood_descriptors
+from training.data import different_objects, different_surfaces
 from training.findings import Finding, Severity
 from training.kinds import by_kind, canonical_descriptor, named
 from training.release import SurfaceKind
@@ -62,7 +62,7 @@ def membership(surface: SurfaceKind, descriptors: Sequence[str]) -> Membership:
 
 def _published(surface: SurfaceKind) -> Iterable[tuple[str, tuple[str, ...]]]:
     if surface is SurfaceKind.PLYWOOD:
-        yield "test", plywood_descriptors()
+        yield "test", different_surfaces().test
     else:
         split = different_objects()
         yield "train", split.train

@@ -1,16 +1,20 @@
-"""The paper's networks for the indicator context, written from its section III and the design's table.
+"""The paper's fully-connected networks, written from its section III and the design's table.
 
 Everything is normalised here (see ``data.Normalisation``); shapes are (objects, pushes, ...), since the context belongs
-to the object: the mask is computed once per object and broadcast over its pushes, never once per push.
+to the object: it is encoded once per object and broadcast over its pushes, never once per push.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
-from service.contract import INDICATOR_LENGTH, ContextKind
+from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
+from training.encoders import context_distance, context_encoder
+from training.methods import ContextUse, Method
 
 WIDTH: Final = 256
 POSE: Final = 3
@@ -19,73 +23,134 @@ LOG_STD_LIMIT: Final = 10.0
 
 
 @dataclass(frozen=True)
-class Method:
-    """A row of the paper's tables."""
+class Shape:
+    """What goes into a network and what comes out."""
 
-    name: str
-    masked: bool
-    regularised: bool
-
-    @property
-    def context_kind(self) -> ContextKind:
-        """What the network wants to know of the object."""
-        return ContextKind.INDICATOR if self.masked else ContextKind.NONE
+    context: tuple[int, ...]  # of one object
+    inputs: int = POSE
+    outputs: int = POSE
 
 
-METHODS: Final = {
-    method.name: method
-    for method in (
-        Method("FCN", masked=False, regularised=False),
-        Method("FCN + CM", masked=True, regularised=False),
-        Method("FCN + CM + L2Reg", masked=True, regularised=True),
-    )
+PUSH_SHAPES: Final = {
+    ContextKind.NONE: Shape((0,)),
+    ContextKind.INDICATOR: Shape((INDICATOR_LENGTH,)),
+    ContextKind.VISUAL: Shape((1, VISUAL_SIZE, VISUAL_SIZE)),
 }
 
 
-class Prediction(NamedTuple):
-    """A Gaussian per push and, where the network has one, the mask per object."""
+def bounded(log_std: Tensor) -> Tensor:
+    """Within the limits; for fitted networks only, since a bound has no slope by which training could come back."""
+    return log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
 
-    mean: Tensor  # (objects, pushes, 3)
-    log_std: Tensor  # (objects, pushes, 3)
-    mask: Tensor | None  # (objects, 256)
+
+class Prediction(NamedTuple):
+    """A Gaussian per push and what the context of each object did to the first layer."""
+
+    mean: Tensor  # (objects, pushes, outputs)
+    log_std: Tensor  # (objects, pushes, outputs)
+    conditioning: Tensor | None  # (objects, 256): a mask or a shift
 
 
 class PushNetwork(nn.Module):
-    """Four dense layers from pusher pose to a Gaussian over the object's pose, the first masked by the context.
+    """Four dense layers from pusher pose to a Gaussian over the object's pose, the first conditioned by the context.
 
-    ``g(x, c) = g4(g3(g2(g1(x) * m(c))))`` with ``m(c) = ReLU(W c + b)``; without a mask it is the paper's FCN.
+    - FCN: ``g(x) = g4(g3(g2(g1(x))))``
+    - FCN + CM: ``g(x, c) = g4(g3(g2(g1(x) * m(c))))`` with ``m(c) = ReLU(e(c))``
+    - FCN + CC: ``g1([x, c])``, of a visual context ``ReLU(W x + b + e(c))``
+
+    ``e`` is a dense layer of a vector and the visual encoder of an image. ``distance`` is the d of the context
+    regulariser, learnt along where it has parameters; predictions do not depend on it.
     """
 
-    def __init__(self, masked: bool) -> None:
+    def __init__(self, method: Method, shape: Shape) -> None:
         super().__init__()
-        self.first = nn.Linear(POSE, WIDTH)
+        self.use = method.context_use
+        self.inputs = shape.inputs
+        # [x, c] through one layer, as the paper concatenates; only its share of x meets every push
+        joined = self.use is ContextUse.CONCATENATED and len(shape.context) == 1
+        self.first = nn.Linear(shape.inputs + (shape.context[0] if joined else 0), WIDTH)
         self.second = nn.Linear(WIDTH, WIDTH)
         self.third = nn.Linear(WIDTH, WIDTH)
-        self.last = nn.Linear(WIDTH, 2 * POSE)
-        self.context_mask = nn.Linear(INDICATOR_LENGTH, WIDTH) if masked else None
+        self.last = nn.Linear(WIDTH, 2 * shape.outputs)
+        encoded = self.use is not ContextUse.NONE and not joined
+        self.context_encoder = context_encoder(shape.context, WIDTH) if encoded else None
+        self.distance = context_distance(method.distance, shape.context)
 
-    def mask(self, context: Tensor) -> Tensor | None:
-        """m(c), (objects, 256), of contexts (objects, 36)."""
-        return None if self.context_mask is None else torch.relu(self.context_mask(context))
+    def conditioning(self, context: Tensor) -> Tensor | None:
+        """What the first layer takes of objects (objects, *context): their masks, or their shifts, (objects, 256)."""
+        if self.use is ContextUse.NONE:
+            return None
+        if self.context_encoder is None:
+            return functional.linear(context, self.first.weight[:, self.inputs :])
+        encoded: Tensor = self.context_encoder(context)
+        return torch.relu(encoded) if self.use is ContextUse.MASKED else encoded
 
-    def gaussian(self, pusher: Tensor, mask: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Mean and log std (n, 3) of pusher poses (n, 3), each under its own row of masks (n, 256)."""
-        hidden = torch.relu(self.first(pusher))
-        return self._upper_layers(hidden if mask is None else hidden * mask)
+    def gaussian(self, pusher: Tensor, conditioning: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Mean and log std (n, 3) of pusher poses (n, 3), each under its own row of conditioning (n, 256)."""
+        hidden = functional.linear(pusher, self.first.weight[:, : self.inputs], self.first.bias)
+        if conditioning is not None and self.use is ContextUse.CONCATENATED:
+            hidden = hidden + conditioning
+        hidden = torch.relu(hidden)
+        if conditioning is not None and self.use is ContextUse.MASKED:
+            hidden = hidden * conditioning
+        return self._upper_layers(hidden)
 
-    def forward(self, pusher: Tensor, context: Tensor) -> Prediction:
-        """Predict pushes (objects, pushes, 3) of objects with these contexts (objects, 36)."""
-        mask = self.mask(context)
-        if mask is None:
-            return Prediction(*self.gaussian(pusher, None), None)
-        # ReLU(W x + b) * m = ReLU((m W) x + m b), since a mask is never negative: multiplied into the weights it costs
-        # a pass per object, multiplied onto the activations a pass per push
-        weight = (self.first.weight * mask[:, :, None]).transpose(1, 2)  # (objects, 3, 256)
-        bias = (self.first.bias * mask)[:, None, :]  # (objects, 1, 256)
-        return Prediction(*self._upper_layers(torch.relu(torch.baddbmm(bias, pusher, weight))), mask)
+    def forward(self, pusher: Tensor, context: Tensor, dtype: torch.dtype = torch.float32) -> Prediction:
+        """Predict pushes (objects, pushes, 3) of objects with these contexts.
+
+        ``dtype`` is that of the two wide layers, where nearly all the work is; everything else stays float32.
+        """
+        conditioning = self.conditioning(context)
+        weight, bias = self.first.weight[:, : self.inputs].T, self.first.bias
+        if conditioning is None:
+            hidden = functional.linear(pusher, weight.T, bias)
+        elif self.use is ContextUse.MASKED:
+            # ReLU(W x + b) * m = ReLU((m W) x + m b), since a mask is never negative: multiplied into the weights it
+            # costs a pass per object, multiplied onto the activations a pass per push
+            masked = weight * conditioning[:, None, :]  # (objects, 3, 256)
+            hidden = torch.baddbmm((bias * conditioning)[:, None, :], pusher, masked)
+        else:
+            shared = weight.expand(len(pusher), -1, -1)
+            hidden = torch.baddbmm((bias + conditioning)[:, None, :], pusher, shared)
+        return Prediction(*self._upper_layers(torch.relu_(hidden.to(dtype))), conditioning)
 
     def _upper_layers(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        hidden = torch.relu(self.second(hidden))
-        hidden = torch.relu(self.third(hidden))
-        mean, log_std = torch.split(self.last(hidden), POSE, dim=-1)
-        return mean, log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
+        for layer in (self.second, self.third):
+            if hidden.dtype == layer.weight.dtype:
+                hidden = torch.relu(layer(hidden))
+            else:
+                hidden = rounded_dense(hidden, layer.weight, layer.bias)
+        mean, log_std = self.last(hidden.to(self.last.weight.dtype)).chunk(2, dim=-1)
+        return mean, log_std if self.training else bounded(log_std)
+
+
+class RoundedDense(torch.autograd.Function):
+    """``ReLU(W x + b)`` with products in the type of x, weights and their gradients in theirs.
+
+    Weights are rounded for the product only, so no step of Adam is lost. Torch's own backward sums the bias's gradient
+    column by column, which takes as long as a product here; as a product with ones it is nearly free.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, value: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
+        """Outputs (..., width) of values (..., width)."""
+        rows, rounded = value.flatten(0, -2), weight.to(value.dtype)
+        result = torch.relu_(torch.addmm(bias.to(value.dtype), rows, rounded.T))
+        ctx.save_for_backward(rows, rounded, result)
+        ctx.kept = weight.dtype
+        return result.view(*value.shape[:-1], -1)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Gradients of value, weight and bias."""
+        rows, rounded, result = ctx.saved_tensors
+        above = torch.ops.aten.threshold_backward(gradients[0].flatten(0, -2), result, 0)
+        bias = above.new_ones(1, len(above)) @ above
+        return (
+            (above @ rounded).view(*gradients[0].shape[:-1], -1),
+            (above.T @ rows).to(ctx.kept),
+            bias[0].to(ctx.kept),
+        )
+
+
+rounded_dense: Final[Callable[[Tensor, Tensor, Tensor], Tensor]] = RoundedDense.apply

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from service.contract import ObjectContext
-from training.data import declare_dataset, omnipush_descriptors, read_folder, write_object
+from training.data import Pushes, declare_dataset, omnipush_descriptors, read_folder, write_object
 
 if TYPE_CHECKING:
     from training.recipes import Recipe
@@ -44,12 +44,15 @@ def recipe() -> "Recipe":
     return Recipe(
         name="push-indicator",
         method="FCN + CM + L2Reg",
+        context="indicator",
         set_up="different-objects",
         epochs=3,
         batch_objects=64,
         learning_rate=0.002,
+        warm_up_steps=0,
         lambda_1=0.01,
         lambda_2=10.0,
+        precision="float32",
         seed=0,
     )
 
@@ -73,9 +76,10 @@ def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
     """A finished run of the paper's network on the synthetic pushes; not to be changed."""
     from training.fit import fit
+    from training.samples import read_training_data
 
     folder = tmp_path_factory.mktemp("indicator")
-    fit(recipe, read_folder(data_folder), folder, quiet=True)
+    fit(recipe, read_training_data(recipe.split(), recipe.context_kind, data_folder), folder, quiet=True)
     return folder
 
 
@@ -83,7 +87,29 @@ def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, r
 def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
     """A finished run of the baseline without context on the synthetic pushes; not to be changed."""
     from training.fit import fit
+    from training.samples import read_training_data
 
     folder = tmp_path_factory.mktemp("none")
-    fit(replace(recipe, name="push-none", method="FCN"), read_folder(data_folder), folder, quiet=True)
+    baseline = replace(recipe, name="push-none", method="FCN", context="none")
+    fit(baseline, read_training_data(baseline.split(), baseline.context_kind, data_folder), folder, quiet=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def viewed_pushes(data_folder: Path) -> Pushes:
+    """The synthetic pushes with made-up views: each object its own noise."""
+    pushes = read_folder(data_folder)
+    shape = (len(pushes.descriptors), 1, 32, 32)
+    return pushes.with_views(np.random.default_rng(5).integers(256, size=shape, dtype=np.uint8))
+
+
+@pytest.fixture(scope="session")
+def visual_run(tmp_path_factory: pytest.TempPathFactory, viewed_pushes: Pushes, recipe: "Recipe") -> Path:
+    """A finished run with visual contexts on the synthetic pushes; not to be changed."""
+    from training.fit import fit
+    from training.samples import TrainingData
+
+    folder = tmp_path_factory.mktemp("visual")
+    visual = replace(recipe, name="push-visual", method="FCN + CM + NeuralReg", context="visual", lambda_2=1.0)
+    fit(visual, TrainingData.of(visual.split(), visual.context_kind, viewed_pushes), folder, quiet=True)
     return folder

@@ -5,11 +5,13 @@ import shutil
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-import torch
 from click.testing import CliRunner, Result
 
 import service
+from service.contract import ContextKind
+from service.images import IMAGE_CONVENTION
 from service.registry import Registry
 from training.cli import main
 from training.data import (
@@ -18,14 +20,16 @@ from training.data import (
     PUSHER_SUFFIX,
     declare_dataset,
     different_objects,
+    different_surfaces,
     omnipush_descriptors,
-    plywood_descriptors,
     read_folder,
+    write_object,
 )
-from training.evaluate import NormalisedPushes, evaluate
+from training.evaluate import evaluate
 from training.fit import WEIGHTS_FILE, load_run
 from training.images import write_views
 from training.recipes import Recipe
+from training.samples import Samples
 from training.simulate import SimulationPlan
 
 
@@ -53,7 +57,7 @@ def test_help_lists_the_commands() -> None:
     assert result.output.index("cazsl-train simulate") < result.output.index("cazsl-train publish")
 
 
-@pytest.mark.parametrize("command", ["simulate", "fit", "evaluate", "publish"])
+@pytest.mark.parametrize("command", ["simulate", "fit", "evaluate", "publish", "reproduce"])
 def test_every_command_explains_itself(command: str) -> None:
     """-h gives its usage and says where the data is."""
     result = cazsl_train(command, "-h")
@@ -94,7 +98,7 @@ def test_simulate_pushes_the_published_ten_on_plywood(tmp_path: Path) -> None:
 
     found = read_folder(tmp_path / "plywood")
     assert result.exit_code == 0
-    assert found.descriptors == plywood_descriptors()
+    assert found.descriptors == different_surfaces().test
     assert "PLYWOOD" in found.source
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plywood", "top-down_view"]
     assert len(list((tmp_path / "top-down_view").glob("shape_*.npy"))) == 10
@@ -150,7 +154,7 @@ def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: P
 
 def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, indicator_run: Path) -> None:
     """Method, data and figures, under their names, and the next step."""
-    held_out = NormalisedPushes.of(read_folder(data_folder).select(different_objects().test), torch.device("cpu"))
+    held_out = Samples.of(read_folder(data_folder).select(different_objects().test), ContextKind.INDICATOR)
     figures = evaluate(load_run(indicator_run)[1], held_out)
 
     result = cazsl_train("evaluate", indicator_run, "--data", data_folder)
@@ -246,3 +250,87 @@ def test_images_can_draw_a_gallery_and_nothing_else(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert (tmp_path / "views.png").read_bytes().startswith(b"\x89PNG")
     assert not (tmp_path / "views").exists()
+
+
+def test_reproduce_writes_the_report_and_goes_on_where_it_stopped(data_folder: Path, tmp_path: Path) -> None:
+    """Tables, plot and figures in a folder named as the experiment; a second time nothing is trained."""
+    plywood = tmp_path / "plywood"
+    declare_dataset(plywood, {"source": "synthetic plywood of a test"})
+    for descriptor in different_surfaces().test:
+        write_object(plywood, descriptor, np.full((2, 3), 0.05), np.full((2, 3), 0.01))
+    (tmp_path / "abs").symlink_to(data_folder)
+    arguments = ("reproduce", "different-surfaces", "--epochs", "1", "--seeds", "1", "--data", tmp_path / "abs")
+
+    first = cazsl_train(*arguments, "--out", tmp_path / "out")
+
+    folder = tmp_path / "out" / "different-surfaces"
+    report = (folder / "README.md").read_text(encoding="utf-8")
+    assert first.exit_code == 0, first.output
+    assert first.stdout == f"next: read {folder / 'README.md'}; its plot is {folder / 'rmse.png'}\n"
+    assert "**synthetic plywood of a test; synthetic pushes of a test**" in report
+    command = f"cazsl-train reproduce different-surfaces --epochs 1 --seeds 1 --out {tmp_path / 'out'}"
+    assert f"{command} --data {tmp_path / 'abs'}\n" in report
+    runs = sorted(folder.glob("cells/*/*/*/metrics.jsonl"))
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("cost.json")}
+    assert len(runs) == len(before) == 6
+    again = cazsl_train(*arguments, "--out", tmp_path / "out")
+    assert again.stdout == first.stdout
+    assert (folder / "README.md").read_text(encoding="utf-8") == report
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("cost.json")} == before
+
+
+@pytest.mark.parametrize("arguments", [(), ("--all", "gaussian-process")], ids=["neither", "both"])
+def test_reproduce_wants_names_or_all(arguments: tuple[str, ...]) -> None:
+    """It is a wrong use of the command, and the message has the names."""
+    result = cazsl_train("reproduce", *arguments)
+
+    assert result.exit_code == 2
+    assert "gaussian-process, different-objects, different-surfaces, different-weights, or --all" in result.stderr
+
+
+def test_reproduce_of_an_unknown_experiment_lists_those_that_exist() -> None:
+    """The names that would have worked."""
+    result = cazsl_train("reproduce", "different-planets")
+
+    assert result.exit_code == 2
+    assert "different-objects" in result.stderr
+
+
+def test_reproduce_without_data_names_the_folder(tmp_path: Path) -> None:
+    """One line, before anything is trained."""
+    line = sole_line(cazsl_train("reproduce", "different-objects", "--data", tmp_path / "nowhere", "--out", tmp_path))
+
+    assert str(tmp_path / "nowhere") in line
+    assert not (tmp_path / "different-objects").exists()
+
+
+def test_a_visual_model_is_fitted_evaluated_and_published_with_its_views(
+    recipe: Recipe, data_folder: Path, tmp_path: Path
+) -> None:
+    """Views are named with --views, the next command repeats them, and the manifest has their convention."""
+    views, path, run = tmp_path / "views", tmp_path / "push-visual.toml", tmp_path / "run"
+    write_views(views, omnipush_descriptors(), quiet=True)
+    fields = asdict(replace(recipe, name="push-visual", context="visual", epochs=1))
+    path.write_text("".join(f"{key} = {value!r}\n" for key, value in fields.items()), encoding="utf-8")
+    options = ("--data", data_folder, "--views", views)
+
+    fitted = cazsl_train("fit", path, "--run", run, *options)
+    evaluated = cazsl_train("evaluate", run, *options)
+    published = cazsl_train("publish", run, *options, "--registry", tmp_path / "models")
+
+    assert fitted.stdout.endswith(f"next: cazsl-train evaluate {run} --data {data_folder} --views {views}\n")
+    assert evaluated.exit_code == 0
+    assert published.exit_code == 0, published.output
+    manifest = Registry(tmp_path / "models").read("push-visual", 1).manifest
+    assert (manifest.context_kind, manifest.image_convention) == (ContextKind.VISUAL, IMAGE_CONVENTION)
+
+
+def test_publish_with_other_views_is_refused(
+    recipe: Recipe, data_folder: Path, visual_run: Path, tmp_path: Path
+) -> None:
+    """The views are part of the data that a visual model was trained on."""
+    write_views(tmp_path / "views", omnipush_descriptors(), quiet=True)
+    options = ("--data", data_folder, "--views", tmp_path / "views", "--registry", tmp_path / "models")
+
+    assert "other views with --views" in sole_line(cazsl_train("publish", visual_run, *options))
+    assert not (tmp_path / "models").exists()

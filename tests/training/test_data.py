@@ -23,6 +23,8 @@ from training.data import (
     UNKNOWN_SOURCE,
     declare_dataset,
     different_objects,
+    different_surfaces,
+    different_weights,
     has_object,
     omnipush_descriptors,
     published_normalisation,
@@ -424,6 +426,29 @@ def test_the_published_split_has_200_and_50_objects() -> None:
     assert (len(split.train), len(split.test)) == (200, 50)
     assert not set(split.train) & set(split.test)
     assert omnipush_descriptors() == tuple(sorted({*split.train, *split.test}))
+
+
+def test_surfaces_train_on_abs_and_test_on_plywood() -> None:
+    """All 250 objects against 10, nine of which are among them, as published."""
+    split = different_surfaces()
+
+    assert (split.name, split.test_surface) == ("different-surfaces", "plywood")
+    assert split.train == omnipush_descriptors()
+    assert len(split.test) == len(set(split.test)) == 10
+    assert len(set(split.test) & set(split.train)) == 9
+
+
+@pytest.mark.parametrize(("held_out", "objects"), [(0, 70), (1, 90), (2, 90)])
+def test_weights_hold_out_all_objects_with_that_many(held_out: int, objects: int) -> None:
+    """70, 90 and 90 objects to test on; nobody is on both sides and nobody is left out."""
+    split = different_weights(held_out)
+
+    assert (split.name, split.test_surface) == (f"different-weights-{held_out}", None)
+    assert len(split.test) == objects
+    assert set(split.test).isdisjoint(split.train)
+    assert sorted(split.test + split.train) == list(omnipush_descriptors())
+    assert {sum(letter not in "a1234" for letter in name) for name in split.test} == {held_out}
+    assert {sum(letter not in "a1234" for letter in name) for name in split.train} == {0, 1, 2} - {held_out}
 
 
 def test_the_normalisation_is_the_published_one() -> None:

@@ -15,9 +15,9 @@ from click.testing import CliRunner, Result
 
 from tests.training.copies import SOURCE, write_surface, write_views
 from training.cli import main
-from training.data import OUTCOME_SUFFIX, PUSHER_SUFFIX, plywood_descriptors, read_folder
+from training.data import OUTCOME_SUFFIX, PUSHER_SUFFIX, different_surfaces, read_folder
 
-TEN = plywood_descriptors()
+TEN = different_surfaces().test
 FIRST_X, FIRST_Y = TEN[0] + PUSHER_SUFFIX, TEN[0] + OUTCOME_SUFFIX
 FIRST_VIEW = f"../top-down_view/shape_{TEN[0]}.npy"
 

@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from service.contract import FloatArray
-from training.data import Normalisation, Pushes, published_normalisation
-from training.evaluate import DISTANCE_MM_PER_RMSE, Evaluation, NormalisedPushes, evaluate, measure
-from training.networks import PushNetwork
+from service.contract import ContextKind, FloatArray
+from training.data import Pushes, published_normalisation
+from training.evaluate import DISTANCE_MM_PER_RMSE, Evaluation, evaluate, measure
+from training.methods import METHODS
+from training.networks import PUSH_SHAPES, PushNetwork
+from training.samples import Samples
 
-UNIT = Normalisation(np.zeros(3), np.ones(3), np.zeros(3), np.array([0.01, 0.02, 0.5]))
+UNIT = (0.01, 0.02, 0.5)
 
 # Two pushes: errors 1, 2, 2 and 0, 0, 4; standard deviations 1, 2, 4 and 1, 2, 1.
 OUTCOME = np.array([[1.0, 2.0, 2.0], [0.0, 0.0, 4.0]], dtype=np.float32)
@@ -84,40 +86,24 @@ def test_a_gaussian_too_sure_covers_less() -> None:
     assert measure(zeros, zeros, outcome, UNIT).coverage[0.95] == pytest.approx(0.673, abs=0.01)
 
 
-def test_pushes_are_normalised_with_the_published_statistics() -> None:
-    """A pose at the mean becomes zeros, one a deviation away becomes ones; contexts and padding pass as they are."""
-    known = published_normalisation()
-    pushers = np.array([[known.input_mean, known.input_mean + known.input_std]], dtype=np.float32)
-    outcomes = np.array([[known.output_mean - known.output_std, known.output_mean]], dtype=np.float32)
-    pushes = pushes_of(pushers, outcomes, np.array([[1.0, 0.0]], dtype=np.float32))
-
-    found = NormalisedPushes.of(pushes, torch.device("cpu"))
-    assert found.pusher[0].numpy() == pytest.approx(np.array([[0.0] * 3, [1.0] * 3]), abs=1e-6)
-    assert found.outcome[0].numpy() == pytest.approx(np.array([[-1.0] * 3, [0.0] * 3]), abs=1e-6)
-    assert found.valid.tolist() == [[1.0, 0.0]]
-    assert (found.context.numpy() == pushes.indicators).all()
-    assert {tensor.dtype for tensor in vars(found).values()} == {torch.float32}
-
-
 def test_padding_is_left_out_of_every_measure() -> None:
     """Whatever stands in padded rows, the figures are those of the pushes that are there."""
     torch.manual_seed(5)
-    network, rng = PushNetwork(masked=True), np.random.default_rng(6)
+    network, rng = PushNetwork(METHODS["FCN + CM"], PUSH_SHAPES[ContextKind.INDICATOR]), np.random.default_rng(6)
     pushers, outcomes = rng.normal(0.0, 0.05, (2, 2, 4, 3)).astype(np.float32)
     valid = np.array([[1, 1, 1, 1], [1, 1, 0, 0]], dtype=np.float32)
-    device = torch.device("cpu")
-    found = evaluate(network, NormalisedPushes.of(pushes_of(pushers, outcomes, valid), device))
+    found = evaluate(network, Samples.of(pushes_of(pushers, outcomes, valid), ContextKind.INDICATOR))
 
     pushers[1, 2:], outcomes[1, 2:] = 9.0, -9.0
-    junk = evaluate(network, NormalisedPushes.of(pushes_of(pushers, outcomes, valid), device))
+    junk = evaluate(network, Samples.of(pushes_of(pushers, outcomes, valid), ContextKind.INDICATOR))
     assert junk == found
-    counted = evaluate(network, NormalisedPushes.of(pushes_of(pushers, outcomes, np.ones_like(valid)), device))
+    counted = evaluate(network, Samples.of(pushes_of(pushers, outcomes, np.ones_like(valid)), ContextKind.INDICATOR))
     assert counted.rmse > 10.0 * found.rmse
 
 
 def test_a_network_is_measured_on_what_it_predicts() -> None:
     """A network whose output is its last bias is right about outcomes at that bias and wrong elsewhere by the rest."""
-    network = PushNetwork(masked=False)
+    network = PushNetwork(METHODS["FCN"], PUSH_SHAPES[ContextKind.INDICATOR])
     with torch.no_grad():
         network.last.weight.zero_()
         network.last.bias.copy_(torch.tensor([0.5, -1.0, 2.0, 0.0, 0.0, 0.0]))
@@ -125,7 +111,32 @@ def test_a_network_is_measured_on_what_it_predicts() -> None:
     outcomes = (known.output_mean + known.output_std * [[[0.5, -1.0, 2.0], [0.5, -1.0, 5.0]]]).astype(np.float32)
     pushes = pushes_of(np.zeros_like(outcomes), outcomes, np.ones((1, 2), dtype=np.float32))
 
-    found = evaluate(network, NormalisedPushes.of(pushes, torch.device("cpu")))
+    found = evaluate(network, Samples.of(pushes, ContextKind.INDICATOR))
     assert found.rmse == pytest.approx(math.sqrt(9.0 / 6.0), rel=1e-5)
     assert found.std == pytest.approx(1.0)
     assert found.sharpness == pytest.approx(tuple(known.output_std))
+
+
+def test_a_visual_network_is_measured_as_it_is_served() -> None:
+    """With the batch norms' record, whatever else is in the batch; a network in training goes on training."""
+    torch.manual_seed(5)
+    network = PushNetwork(METHODS["FCN + CM"], PUSH_SHAPES[ContextKind.VISUAL])
+    views = torch.rand(4, 1, 32, 32)
+    network.conditioning(views)
+    inputs, targets = torch.randn(2, 4, 6, 3)
+    samples = Samples(inputs, targets, torch.ones(4, 6), views, (1.0, 1.0, 1.0))
+
+    together = evaluate(network, samples)
+    alone = [evaluate(network, samples.select(torch.tensor([row]))) for row in range(4)]
+
+    assert network.training
+    assert together.rmse**2 == pytest.approx(np.mean([found.rmse**2 for found in alone]), rel=1e-5)
+
+
+def test_a_regression_of_one_output_is_measured_too() -> None:
+    """The paper's Gaussian processes have one value per sample, and it is its own unit."""
+    found = measure(MEAN[:, :1], LOG_STD[:, :1], OUTCOME[:, :1], (1.0,))
+
+    assert found.rmse == pytest.approx(math.sqrt(0.5))
+    assert found.sharpness == pytest.approx((1.0,))
+    assert found.nll == pytest.approx(0.25 + 0.5 * math.log(2.0 * math.pi))

@@ -12,28 +12,30 @@ import torch
 from onnx import TensorProto, numpy_helper
 
 import training
-from service.contract import ContextKind, FloatArray, ObjectContext, Pose
+from service.contract import ContextKind, FloatArray, ObjectContext, Pose, VisualContext
 from service.errors import CazslError, DataError, PublishError
 from service.loaded_models import LoadedModels
 from service.manifest import MODEL_FILE, ModelReference
 from service.predictor import OnnxPredictor
 from service.registry import Registry
 from training.data import Pushes, published_normalisation, read_folder
-from training.evaluate import NormalisedPushes, evaluate
+from training.evaluate import evaluate
 from training.export import (
     PARITY_TOLERANCE,
     check_parity,
     export_onnx,
-    extreme_batch,
-    probe_batch,
     publish,
     strip_origin,
     wrap_last,
 )
-from training.fit import load_run
-from training.networks import PushNetwork
+from training.fit import fit, load_run
+from training.methods import METHODS
+from training.networks import PUSH_SHAPES, PushNetwork
+from training.probes import extreme_batch, probe_batch
+from training.recipes import Recipe
+from training.samples import Samples, TrainingData
 
-KINDS = [ContextKind.INDICATOR, ContextKind.NONE]
+KINDS = [ContextKind.INDICATOR, ContextKind.NONE, ContextKind.VISUAL]
 # float32 in metres and radians: what another order of sums may leave
 SAME = 1e-6
 
@@ -45,18 +47,39 @@ def pushes(data_folder: Path) -> Pushes:
 
 
 @pytest.fixture(scope="module")
-def networks(indicator_run: Path, none_run: Path) -> dict[ContextKind, PushNetwork]:
-    """The fitted network of each kind."""
-    return {ContextKind.INDICATOR: load_run(indicator_run)[1], ContextKind.NONE: load_run(none_run)[1]}
+def data(pushes: Pushes, viewed_pushes: Pushes) -> dict[ContextKind, Pushes]:
+    """What each kind was fitted to."""
+    return {kind: viewed_pushes if kind is ContextKind.VISUAL else pushes for kind in KINDS}
 
 
 @pytest.fixture(scope="module")
-def registry(tmp_path_factory: pytest.TempPathFactory, pushes: Pushes, indicator_run: Path, none_run: Path) -> Registry:
-    """A registry in which the indicator model was published twice and the other once; not to be changed."""
+def runs(indicator_run: Path, none_run: Path, visual_run: Path) -> dict[ContextKind, Path]:
+    """The finished run of each kind."""
+    return {ContextKind.INDICATOR: indicator_run, ContextKind.NONE: none_run, ContextKind.VISUAL: visual_run}
+
+
+def fitted(run: Path) -> PushNetwork:
+    """The network of a run, which is one to serve."""
+    network = load_run(run)[1]
+    assert isinstance(network, PushNetwork)
+    return network
+
+
+@pytest.fixture(scope="module")
+def networks(runs: dict[ContextKind, Path]) -> dict[ContextKind, PushNetwork]:
+    """The fitted network of each kind."""
+    return {kind: fitted(run) for kind, run in runs.items()}
+
+
+@pytest.fixture(scope="module")
+def registry(
+    tmp_path_factory: pytest.TempPathFactory, data: dict[ContextKind, Pushes], runs: dict[ContextKind, Path]
+) -> Registry:
+    """A registry in which the indicator model was published twice and the others once; not to be changed."""
     found = Registry(tmp_path_factory.mktemp("registry") / "models")
-    for run in (indicator_run, indicator_run, none_run):
-        recipe, network, _ = load_run(run)
-        publish(recipe, network, pushes, found)
+    for kind in (ContextKind.INDICATOR, *runs):
+        recipe, network, _ = load_run(runs[kind])
+        publish(recipe, network, data[kind], found, "noise of a test" if kind is ContextKind.VISUAL else None)
     return found
 
 
@@ -93,9 +116,10 @@ def test_the_graph_has_exactly_the_contract_s_tensors(graphs: dict[ContextKind, 
     ]
 
     pusher = ("pusher", TensorProto.FLOAT, ["n", 3])
-    objects = [("context", TensorProto.FLOAT, ["g", 36]), ("context_index", TensorProto.INT64, ["n"])]
+    shape = ["g", 1, 32, 32] if kind is ContextKind.VISUAL else ["g", 36]
+    objects = [("context", TensorProto.FLOAT, shape), ("context_index", TensorProto.INT64, ["n"])]
     outputs = [("mean", TensorProto.FLOAT, ["n", 3]), ("std", TensorProto.FLOAT, ["n", 3])]
-    assert found == [pusher, *(objects if kind is ContextKind.INDICATOR else []), *outputs]
+    assert found == [pusher, *([] if kind is ContextKind.NONE else objects), *outputs]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -109,9 +133,10 @@ def test_onnxruntime_agrees_with_torch(
 @pytest.mark.parametrize(
     ("kind", "constant"),
     [
-        (ContextKind.INDICATOR, "network.context_mask.weight"),
+        (ContextKind.INDICATOR, "network.context_encoder.weight"),
         (ContextKind.INDICATOR, "network.third.weight"),
         (ContextKind.INDICATOR, "output_std"),
+        (ContextKind.VISUAL, "network.context_encoder.dense.weight"),
         (ContextKind.NONE, "network.first.bias"),
         (ContextKind.NONE, "network.last.bias"),
         (ContextKind.NONE, "input_std"),
@@ -140,7 +165,7 @@ def test_the_graph_takes_and_gives_si_units(
     graphs: dict[ContextKind, bytes], networks: dict[ContextKind, PushNetwork], kind: ContextKind
 ) -> None:
     """Metres and radians go in and come out: the published normalisation, done by hand around torch, gives the same."""
-    known, batch = published_normalisation(), probe_batch(pushes=20, objects=5, seed=6)
+    known, batch = published_normalisation(), probe_batch(kind, pushes=20, objects=5, seed=6)
     pusher = torch.from_numpy(((batch.pusher - known.input_mean) / known.input_std).astype(np.float32))
     with torch.no_grad():
         mean, log_std, _ = networks[kind](pusher[:, None], torch.from_numpy(batch.context[batch.context_index]))
@@ -156,7 +181,7 @@ def test_an_angle_and_whole_turns_more_are_the_same_push(
     graphs: dict[ContextKind, bytes], kind: ContextKind, turns: int
 ) -> None:
     """Angles going in may be any real number; float32 leaves a microradian per turn."""
-    batch = probe_batch(pushes=50, objects=3, seed=7)
+    batch = probe_batch(kind, pushes=50, objects=3, seed=7)
     turned = batch.pusher + np.array([0.0, 0.0, 2.0 * math.pi * turns], dtype=np.float32)
 
     index = batch.context_index.tolist()
@@ -167,7 +192,7 @@ def test_an_angle_and_whole_turns_more_are_the_same_push(
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_graph_s_answers_are_gaussians_everywhere(graphs: dict[ContextKind, bytes], kind: ContextKind) -> None:
     """However far the input, means are finite with angles in (-pi, pi] and deviations are positive."""
-    batch = extreme_batch()
+    batch = extreme_batch(kind)
     mean, std = predicted(graphs[kind], kind, batch.pusher, batch.context, batch.context_index.tolist())
 
     assert np.isfinite(mean).all()
@@ -194,9 +219,12 @@ def test_angles_are_wrapped_and_positions_are_not(angle: float, expected: float)
     assert found == pytest.approx([100.0, -7.0, expected], abs=1e-12)
 
 
-def test_many_pushes_of_one_object_are_those_pushes_one_by_one(graphs: dict[ContextKind, bytes]) -> None:
+@pytest.mark.parametrize("kind", [ContextKind.INDICATOR, ContextKind.VISUAL])
+def test_many_pushes_of_one_object_are_those_pushes_one_by_one(
+    graphs: dict[ContextKind, bytes], kind: ContextKind
+) -> None:
     """One context serves a thousand pushes."""
-    kind, batch = ContextKind.INDICATOR, probe_batch(pushes=1000, objects=1, seed=8)
+    batch = probe_batch(kind, pushes=1000, objects=1, seed=8)
     together = predicted(graphs[kind], kind, batch.pusher, batch.context, [0] * 1000)
 
     assert together.shape == (2, 1000, 3)
@@ -205,9 +233,10 @@ def test_many_pushes_of_one_object_are_those_pushes_one_by_one(graphs: dict[Cont
         assert alone[:, 0] == pytest.approx(together[:, row], abs=SAME)
 
 
-def test_a_mixed_batch_is_its_pushes_one_by_one(graphs: dict[ContextKind, bytes]) -> None:
+@pytest.mark.parametrize("kind", [ContextKind.INDICATOR, ContextKind.VISUAL])
+def test_a_mixed_batch_is_its_pushes_one_by_one(graphs: dict[ContextKind, bytes], kind: ContextKind) -> None:
     """Every push meets the object that its index names, whatever the order and whoever is left out."""
-    kind, batch, index = ContextKind.INDICATOR, probe_batch(pushes=6, objects=4, seed=9), [3, 0, 3, 1, 1, 0]
+    batch, index = probe_batch(kind, pushes=6, objects=4, seed=9), [3, 0, 3, 1, 1, 0]
     together = predicted(graphs[kind], kind, batch.pusher, batch.context, index)
 
     for row, which in enumerate(index):
@@ -217,13 +246,22 @@ def test_a_mixed_batch_is_its_pushes_one_by_one(graphs: dict[ContextKind, bytes]
     assert len(np.unique(predicted(graphs[kind], kind, same_push, batch.context, [0, 1, 2, 3])[0], axis=0)) == 4
 
 
-def test_the_context_is_encoded_once_per_object(graphs: dict[ContextKind, bytes]) -> None:
+@pytest.mark.parametrize(
+    ("kind", "constant"),
+    [
+        (ContextKind.INDICATOR, "network.context_encoder.weight"),
+        (ContextKind.VISUAL, "network.context_encoder.dense.weight"),
+    ],
+)
+def test_the_context_is_encoded_once_per_object(
+    graphs: dict[ContextKind, bytes], kind: ContextKind, constant: str
+) -> None:
     """The mask's layer has a row per object, g of them, and is spread over the n pushes afterwards."""
-    model = onnx.shape_inference.infer_shapes(onnx.load_from_string(graphs[ContextKind.INDICATOR]))
-    (layer,) = [node for node in model.graph.node if "network.context_mask.weight" in node.input]
+    model = onnx.shape_inference.infer_shapes(onnx.load_from_string(graphs[kind]))
+    (layer,) = [node for node in model.graph.node if constant in node.input]
     (shape,) = [value.type.tensor_type.shape for value in model.graph.value_info if value.name == layer.output[0]]
 
-    assert layer.input[0] == "context"
+    assert (layer.input[0] == "context") is (kind is ContextKind.INDICATOR)
     assert [dimension.dim_param or dimension.dim_value for dimension in shape.dim] == ["g", 256]
 
 
@@ -271,18 +309,6 @@ def test_origins_are_stripped_wherever_they_may_stand() -> None:
     assert model.SerializeToString(deterministic=True) == plain
 
 
-def test_probes_are_real_objects_and_repeat() -> None:
-    """Random pushes of random objects that exist, indices within them, the same for the same seed."""
-    batch, again, other = probe_batch(40, 7, seed=1), probe_batch(40, 7, seed=1), probe_batch(40, 7, seed=2)
-
-    assert [ObjectContext.from_indicator(row.tolist()).indicator().tolist() for row in batch.context] == (
-        batch.context.tolist()
-    )
-    assert (batch.pusher.shape, batch.context_index.min(), batch.context_index.max()) == ((40, 3), 0, 6)
-    assert (batch.pusher == again.pusher).all()
-    assert not (batch.pusher == other.pusher).all()
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_published_version_is_verified_and_served(
     registry: Registry, networks: dict[ContextKind, PushNetwork], kind: ContextKind
@@ -291,14 +317,16 @@ def test_a_published_version_is_verified_and_served(
     loaded = LoadedModels(registry, OnnxPredictor)
     loaded.refresh()
     model = loaded.snapshot.find(ModelReference(f"push-{kind}", None, 1))
-    thing = ObjectContext.from_descriptor("1a2b3c4a")
+    thing: ObjectContext | VisualContext = ObjectContext.from_descriptor("1a2b3c4a")
+    if kind is ContextKind.VISUAL:
+        thing = VisualContext.from_bytes(bytes(range(256)) * 4)
     gaussian = model.predict_push(Pose(-0.075, 0.01, 0.1), None if kind is ContextKind.NONE else thing)
 
     known = published_normalisation()
     pusher = (np.array([-0.075, 0.01, 0.1]) - known.input_mean) / known.input_std
     with torch.no_grad():
         mean, log_std, _ = networks[kind](
-            torch.tensor(pusher, dtype=torch.float32)[None, None], torch.from_numpy(thing.indicator())[None]
+            torch.tensor(pusher, dtype=torch.float32)[None, None], torch.from_numpy(thing.tensor())[None]
         )
     expected_mean = mean[0, 0].numpy() * known.output_std + known.output_mean
     expected_std = np.exp(log_std[0, 0].numpy()) * known.output_std
@@ -309,7 +337,7 @@ def test_a_published_version_is_verified_and_served(
 
 def test_publishing_again_gives_the_next_version(registry: Registry) -> None:
     """Versions count up and every one is verified; no alias moves by itself."""
-    assert registry.names() == ["push-indicator", "push-none"]
+    assert registry.names() == ["push-indicator", "push-none", "push-visual"]
     assert registry.versions("push-indicator") == [1, 2]
     assert [registry.read("push-indicator", version).manifest.version for version in (1, 2)] == [1, 2]
     assert registry.aliases("push-indicator") == {}
@@ -317,13 +345,13 @@ def test_publishing_again_gives_the_next_version(registry: Registry) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_manifest_says_what_the_model_is(
-    registry: Registry, pushes: Pushes, indicator_run: Path, none_run: Path, kind: ContextKind
+    registry: Registry, data: dict[ContextKind, Pushes], runs: dict[ContextKind, Path], kind: ContextKind
 ) -> None:
     """Recipe, data, split and figures are those of the run, measured on the held-out objects."""
-    recipe, network, _ = load_run(indicator_run if kind is ContextKind.INDICATOR else none_run)
-    split = recipe.split()
+    recipe, network, _ = load_run(runs[kind])
+    split, pushes = recipe.split(), data[kind]
     held_out = pushes.select(split.test)
-    figures = evaluate(network, NormalisedPushes.of(held_out, torch.device("cpu")))
+    figures = evaluate(network, Samples.of(held_out, kind))
     found = registry.read(f"push-{kind}", 1).manifest
 
     assert (found.name, found.method, found.context_kind) == (f"push-{kind}", recipe.method, kind)
@@ -343,12 +371,15 @@ def test_the_manifest_says_what_the_model_is(
     )
     assert calibration.sharpness == pytest.approx(figures.sharpness)
     assert found.normalisation.output_std == published_normalisation().output_std.tolist()
+    assert found.image_convention == ("noise of a test" if kind is ContextKind.VISUAL else None)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_card_names_its_data_and_figures(registry: Registry, pushes: Pushes, kind: ContextKind) -> None:
+def test_the_card_names_its_data_and_figures(
+    registry: Registry, data: dict[ContextKind, Pushes], kind: ContextKind
+) -> None:
     """Nobody who reads the card can take the data for other data, or the figures for other figures."""
-    version = registry.read(f"push-{kind}", 1)
+    pushes, version = data[kind], registry.read(f"push-{kind}", 1)
     metrics = version.manifest.metrics["different-objects"]
 
     assert f"Trained on **{pushes.source}**: 200 objects" in version.card
@@ -369,7 +400,7 @@ def test_data_without_the_split_publish_nothing(pushes: Pushes, indicator_run: P
 
 def test_a_network_that_diverged_is_not_published(pushes: Pushes, none_run: Path, tmp_path: Path) -> None:
     """Weights that are no numbers give no Gaussians, and nothing becomes visible."""
-    recipe, network, _ = load_run(none_run)
+    recipe, network = load_run(none_run)[0], fitted(none_run)
     with torch.no_grad():
         network.third.weight[0, 0] = math.nan
 
@@ -383,13 +414,13 @@ class Restless(PushNetwork):
     """A network that never gives the same answer twice: no graph can agree with it."""
 
     def __init__(self) -> None:
-        super().__init__(masked=False)
+        super().__init__(METHODS["FCN"], PUSH_SHAPES[ContextKind.NONE])
         self.calls = 0
 
-    def gaussian(self, pusher: torch.Tensor, mask: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+    def gaussian(self, pusher: torch.Tensor, conditioning: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
         """The Gaussian, further to the right with every call."""
         self.calls += 1
-        mean, log_std = super().gaussian(pusher, mask)
+        mean, log_std = super().gaussian(pusher, conditioning)
         return mean + 0.1 * self.calls, log_std
 
 
@@ -401,5 +432,32 @@ def test_a_graph_that_disagrees_with_its_network_is_not_published(
 
     with pytest.raises(PublishError, match="onnxruntime differs from torch"):
         publish(recipe, Restless(), pushes, Registry(tmp_path / "models"))
+
+    assert not (tmp_path / "models").exists()
+
+
+METHOD_CELLS = [(name, kind) for name, method in METHODS.items() for kind in ContextKind if method.takes(kind)]
+
+
+@pytest.mark.parametrize(("name", "kind"), [cell for cell in METHOD_CELLS if cell[0] != "ANP"])
+def test_every_served_method_becomes_a_graph_that_agrees_with_it(name: str, kind: ContextKind) -> None:
+    """Whatever the method and its context: exported in eval mode, checked on plausible and extreme inputs."""
+    torch.manual_seed(12)
+    network = PushNetwork(METHODS[name], PUSH_SHAPES[kind])
+    context = torch.from_numpy(probe_batch(kind, 1, 32).context)
+    network.conditioning(context)  # a batch in training, so that the batch norms have something on record
+    graph = export_onnx(network, kind)
+
+    assert check_parity(network, graph, kind) <= PARITY_TOLERANCE
+    assert b"distance" not in graph, "what only the training needs is not served"
+
+
+def test_a_neural_process_is_not_published(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """It needs pushes of the very object, which no caller of the service has."""
+    process = replace(recipe, name="anp", method="ANP", context="none", epochs=1)
+    network = fit(process, TrainingData.of(process.split(), ContextKind.NONE, pushes), tmp_path / "run", quiet=True)
+
+    with pytest.raises(DataError, match="ANP on different-objects is not published"):
+        publish(process, network, pushes, Registry(tmp_path / "models"))
 
     assert not (tmp_path / "models").exists()

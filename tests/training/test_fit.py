@@ -12,18 +12,48 @@ import pytest
 import torch
 
 import service
+from service.contract import ContextKind
 from service.errors import DataError
 from training.data import Pushes, different_objects, read_folder
-from training.evaluate import NormalisedPushes, evaluate
-from training.fit import CHECKPOINT_FILE, CONFIG_FILE, METRICS_FILE, WEIGHTS_FILE, fit, load_run, train_epoch
-from training.networks import PushNetwork
+from training.evaluate import evaluate
+from training.fit import (
+    CHECKPOINT_FILE,
+    CONFIG_FILE,
+    COST_FILE,
+    METRICS_FILE,
+    WEIGHTS_FILE,
+    Network,
+    fit,
+    learning_rate,
+    load_run,
+    product_dtype,
+    train_epoch,
+)
+from training.methods import METHODS
+from training.networks import PUSH_SHAPES, PushNetwork
 from training.recipes import Recipe
+from training.samples import Samples, TrainingData
 
 
 @pytest.fixture(scope="module")
 def pushes(data_folder: Path) -> Pushes:
     """The synthetic pushes of all 250 objects."""
     return read_folder(data_folder)
+
+
+def train_run(recipe: Recipe, pushes: Pushes, run: Path) -> Network:
+    """Fit a recipe to these pushes."""
+    return fit(recipe, TrainingData.of(recipe.split(), recipe.context_kind, pushes), run, quiet=True)
+
+
+def samples_of(pushes: Pushes, descriptors: tuple[str, ...]) -> Samples:
+    """Normalised pushes of some objects, with their indicators."""
+    return Samples.of(pushes.select(descriptors), ContextKind.INDICATOR)
+
+
+def masked_network() -> PushNetwork:
+    """A fresh network with a context mask."""
+    return PushNetwork(METHODS["FCN + CM + L2Reg"], PUSH_SHAPES[ContextKind.INDICATOR])
 
 
 def metrics_of(run: Path) -> list[dict[str, Any]]:
@@ -41,7 +71,7 @@ def interrupted(run: Path, recipe: Recipe, epochs: int, pushes: Pushes, scratch:
 
     A run's first epochs do not know how many follow: a finished shorter run holds the very checkpoint.
     """
-    fit(replace(recipe, epochs=epochs), pushes, scratch, quiet=True)
+    train_run(replace(recipe, epochs=epochs), pushes, scratch)
     run.mkdir()
     for name in (CHECKPOINT_FILE, METRICS_FILE):
         shutil.copy(scratch / name, run / name)
@@ -51,16 +81,25 @@ def interrupted(run: Path, recipe: Recipe, epochs: int, pushes: Pushes, scratch:
     return run
 
 
-@pytest.mark.parametrize("method", ["FCN", "FCN + CM + L2Reg"])
+@pytest.mark.parametrize(
+    ("method", "context"),
+    [
+        ("FCN", "none"),
+        ("FCN + CM + L2Reg", "indicator"),
+        ("FCN + CM + NeuralReg", "visual"),
+        ("ANP", "none"),
+    ],
+)
+@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
 def test_an_interrupted_run_ends_in_the_same_weights(
-    recipe: Recipe, pushes: Pushes, tmp_path: Path, method: str
+    recipe: Recipe, viewed_pushes: Pushes, tmp_path: Path, method: str, context: str, precision: str
 ) -> None:
     """Two epochs, a kill and two more give bit for bit what four epochs in one go give, metrics included."""
-    whole = replace(recipe, method=method, epochs=4)
-    fit(whole, pushes, tmp_path / "whole", quiet=True)
-    run = interrupted(tmp_path / "interrupted", whole, 2, pushes, tmp_path / "scratch")
+    whole = replace(recipe, method=method, context=context, precision=precision, warm_up_steps=9, epochs=4)
+    train_run(whole, viewed_pushes, tmp_path / "whole")
+    run = interrupted(tmp_path / "interrupted", whole, 2, viewed_pushes, tmp_path / "scratch")
 
-    fit(whole, pushes, run, quiet=True)
+    train_run(whole, viewed_pushes, run)
 
     assert weights_of(run) == weights_of(tmp_path / "whole")
     assert weights_of(run) != weights_of(tmp_path / "scratch")
@@ -77,7 +116,7 @@ def test_a_run_goes_on_from_its_checkpoint_and_drops_what_was_logged_after_it(
     (run / METRICS_FILE).write_text(before + '{"epoch": 2, "nll": -99.0}\n{"epoch": 3, "nl', encoding="utf-8")
     (run / (CHECKPOINT_FILE + ".part")).write_bytes(b"half a checkpoint")
 
-    fit(recipe, pushes, run, quiet=True)
+    train_run(recipe, pushes, run)
 
     assert (run / METRICS_FILE).read_text(encoding="utf-8").startswith(before)
     assert [line["epoch"] for line in metrics_of(run)] == [0, 1, 2]
@@ -91,7 +130,7 @@ def test_a_finished_run_started_again_stays_as_it_is(
     run = tmp_path / "run"
     shutil.copytree(indicator_run, run)
 
-    fit(recipe, pushes, run, quiet=True)
+    train_run(recipe, pushes, run)
 
     assert weights_of(run) == weights_of(indicator_run)
     assert metrics_of(run) == metrics_of(indicator_run)
@@ -102,8 +141,8 @@ def test_the_same_seed_gives_the_same_weights(
 ) -> None:
     """Nothing else is random, whatever torch's own generator was used for before."""
     torch.manual_seed(99)
-    fit(recipe, pushes, tmp_path / "same", quiet=True)
-    fit(replace(recipe, seed=1), pushes, tmp_path / "other", quiet=True)
+    train_run(recipe, pushes, tmp_path / "same")
+    train_run(replace(recipe, seed=1), pushes, tmp_path / "other")
 
     assert weights_of(tmp_path / "same") == weights_of(indicator_run)
     assert weights_of(tmp_path / "other") != weights_of(indicator_run)
@@ -125,7 +164,7 @@ def test_another_recipe_in_the_same_folder_is_refused(
     shutil.copytree(indicator_run, run)
 
     with pytest.raises(DataError, match="records another run") as caught:
-        fit(replace(recipe, **change), pushes, run, quiet=True)
+        train_run(replace(recipe, **change), pushes, run)
 
     assert str(run / CONFIG_FILE) in str(caught.value)
     assert {path.name: path.read_bytes() for path in run.iterdir()} == {
@@ -141,7 +180,7 @@ def test_other_data_in_the_same_folder_are_refused(
     shutil.copytree(indicator_run, run)
 
     with pytest.raises(DataError, match="records another run"):
-        fit(recipe, replace(pushes, digest="0" * 64), run, quiet=True)
+        train_run(recipe, replace(pushes, digest="0" * 64), run)
 
 
 def test_objects_of_the_split_must_all_be_there(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
@@ -150,7 +189,7 @@ def test_objects_of_the_split_must_all_be_there(recipe: Recipe, pushes: Pushes, 
     without = pushes.select([name for name in pushes.descriptors if name != held_out])
 
     with pytest.raises(DataError, match=held_out):
-        fit(recipe, without, tmp_path / "run", quiet=True)
+        train_run(recipe, without, tmp_path / "run")
 
     assert not (tmp_path / "run").exists()
 
@@ -167,7 +206,7 @@ def test_every_epoch_leaves_a_line(indicator_run: Path) -> None:
 def test_the_recorded_error_is_that_of_the_final_weights(pushes: Pushes, indicator_run: Path) -> None:
     """The last held-out figure is what evaluation finds for the weights that were saved."""
     recipe, network, _ = load_run(indicator_run)
-    held_out = NormalisedPushes.of(pushes.select(recipe.split().test), torch.device("cpu"))
+    held_out = samples_of(pushes, recipe.split().test)
 
     assert metrics_of(indicator_run)[-1]["held_out_rmse"] == pytest.approx(evaluate(network, held_out).rmse, rel=1e-5)
 
@@ -181,19 +220,30 @@ def test_the_config_records_recipe_data_and_code(recipe: Recipe, pushes: Pushes,
     }
 
 
-@pytest.mark.parametrize(("method", "regularised"), [("FCN", False), ("FCN + CM", False), ("FCN + CM + L2Reg", True)])
-def test_only_the_regularised_method_pays_for_its_masks(
-    recipe: Recipe, pushes: Pushes, tmp_path: Path, method: str, regularised: bool
+@pytest.mark.parametrize(
+    ("method", "context", "regularised"),
+    [
+        ("FCN", "none", False),
+        ("FCN + CC", "indicator", False),
+        ("FCN + CM", "indicator", False),
+        ("FCN + CM + L2Reg", "indicator", True),
+        ("FCN + CM + NeuralReg", "indicator", True),
+        ("FCN + CM + L2Reg", "visual", True),
+        ("FCN + CM + NeuralReg", "visual", True),
+    ],
+)
+def test_only_the_regularised_methods_pay_for_their_masks(
+    recipe: Recipe, viewed_pushes: Pushes, tmp_path: Path, method: str, context: str, regularised: bool
 ) -> None:
-    """The regulariser is a cost of FCN + CM + L2Reg and nothing elsewhere."""
-    fit(replace(recipe, method=method, epochs=1), pushes, tmp_path, quiet=True)
+    """The regulariser is a cost of L2Reg and NeuralReg and nothing elsewhere."""
+    train_run(replace(recipe, method=method, context=context, epochs=1), viewed_pushes, tmp_path)
 
     assert (metrics_of(tmp_path)[0]["regulariser"] > 0.0) is regularised
 
 
 def test_training_learns_what_can_be_learnt(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
     """On pushes that follow a simple rule the likelihood falls, and so does the error on objects never seen."""
-    fit(replace(recipe, epochs=20), pushes, tmp_path, quiet=True)
+    train_run(replace(recipe, epochs=20), pushes, tmp_path)
     lines = metrics_of(tmp_path)
 
     assert lines[-1]["nll"] < lines[0]["nll"] - 1.0
@@ -202,11 +252,11 @@ def test_training_learns_what_can_be_learnt(recipe: Recipe, pushes: Pushes, tmp_
 
 def test_an_epoch_s_batches_depend_on_seed_and_number_alone(recipe: Recipe, pushes: Pushes) -> None:
     """The same epoch again teaches the same, another epoch or seed has the objects in another order."""
-    train = NormalisedPushes.of(pushes.select(different_objects().train), torch.device("cpu"))
+    train = samples_of(pushes, different_objects().train)
 
     def taught(seed: int, epoch: int) -> bytes:
         torch.manual_seed(0)
-        network = PushNetwork(masked=True)
+        network = masked_network()
         adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate)
         train_epoch(network, adam, train, replace(recipe, seed=seed), epoch)
         return network.last.weight.detach().numpy().tobytes()
@@ -226,8 +276,8 @@ def test_an_epoch_s_batches_depend_on_seed_and_number_alone(recipe: Recipe, push
 )
 def test_an_epoch_meets_every_object_in_batches(recipe: Recipe, pushes: Pushes, batch_objects: int, steps: int) -> None:
     """A mini-batch is that many objects with all their pushes, and the last one is what is left."""
-    train = NormalisedPushes.of(pushes.select(different_objects().train), torch.device("cpu"))
-    network = PushNetwork(masked=True)
+    train = samples_of(pushes, different_objects().train)
+    network = masked_network()
     adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate)
 
     figures = train_epoch(network, adam, train, replace(recipe, batch_objects=batch_objects), 0)
@@ -246,7 +296,7 @@ def test_padded_rows_teach_nothing(recipe: Recipe, pushes: Pushes, indicator_run
     )
     assert padding.any()
 
-    fit(recipe, junk, tmp_path, quiet=True)
+    train_run(recipe, junk, tmp_path)
 
     found, expected = load_run(tmp_path)[1].state_dict(), load_run(indicator_run)[1].state_dict()
     assert all(torch.allclose(found[name], expected[name], atol=1e-6) for name in expected)
@@ -254,13 +304,13 @@ def test_padded_rows_teach_nothing(recipe: Recipe, pushes: Pushes, indicator_run
 
 def test_a_finished_run_is_loaded_whole(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
     """Its recipe, the very network that was fitted, and the record of its data."""
-    fitted = fit(recipe, pushes, tmp_path, quiet=True)
+    network_fitted = train_run(recipe, pushes, tmp_path)
     found, network, data = load_run(tmp_path)
 
     assert found == recipe
     assert data == {"source": pushes.source, "sha256": pushes.digest}
-    assert network.state_dict().keys() == fitted.state_dict().keys()
-    for name, value in fitted.state_dict().items():
+    assert network.state_dict().keys() == network_fitted.state_dict().keys()
+    for name, value in network_fitted.state_dict().items():
         assert torch.equal(network.state_dict()[name], value.cpu()), name
 
 
@@ -290,3 +340,92 @@ def test_an_unfinished_run_is_not_loaded(indicator_run: Path, tmp_path: Path, ha
         load_run(run)
 
     assert str(run) in str(caught.value)
+
+
+def test_a_run_leaves_what_it_cost(indicator_run: Path) -> None:
+    """Seconds of training, device and precision stand beside the weights."""
+    cost = json.loads((indicator_run / COST_FILE).read_text(encoding="utf-8"))
+
+    assert cost["seconds"] >= 0.0
+    assert (cost["device"], cost["precision"]) == ("cuda" if torch.cuda.is_available() else "cpu", "float32")
+
+
+def test_a_finished_run_started_again_costs_nothing_more(
+    recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path
+) -> None:
+    """The record is of the training, not of looking at it."""
+    run = tmp_path / "run"
+    shutil.copytree(indicator_run, run)
+    (run / COST_FILE).write_text('{"seconds": 99.5}', encoding="utf-8")
+
+    train_run(recipe, pushes, run)
+
+    assert (run / COST_FILE).read_text(encoding="utf-8") == '{"seconds": 99.5}'
+
+
+@pytest.mark.parametrize(
+    ("warm_up_steps", "step", "expected"),
+    [
+        pytest.param(0, 1, 0.001, id="without warm-up constant from the first step"),
+        pytest.param(0, 12_000, 0.001, id="to the last"),
+        pytest.param(2000, 1, 0.001 / 2000, id="the first step of a warm-up"),
+        pytest.param(2000, 1000, 0.0005, id="half way up"),
+        pytest.param(2000, 2000, 0.001, id="at the top"),
+        pytest.param(2000, 8000, 0.0005, id="half after four times the warm-up"),
+    ],
+)
+def test_the_learning_rate_rises_for_the_warm_up_and_then_falls_with_the_root(
+    recipe: Recipe, warm_up_steps: int, step: int, expected: float
+) -> None:
+    """0.001 sqrt(w) min(step w^-1.5, step^-0.5), as the paper's neural process is trained."""
+    schedule = replace(recipe, learning_rate=0.001, warm_up_steps=warm_up_steps)
+
+    assert learning_rate(schedule, step) == pytest.approx(expected)
+
+
+def test_steps_are_counted_over_epochs(recipe: Recipe, pushes: Pushes) -> None:
+    """Four batches an epoch: the last step of the third epoch is the twelfth."""
+    network, schedule = masked_network(), replace(recipe, warm_up_steps=1000)
+    adam = torch.optim.Adam(network.parameters())
+
+    train_epoch(network, adam, samples_of(pushes, different_objects().train), schedule, 2)
+
+    assert adam.param_groups[0]["lr"] == learning_rate(schedule, 12)
+
+
+def test_precision_is_what_the_recipe_says_or_what_the_processor_can() -> None:
+    """Auto never asks for products that the processor only emulates."""
+    cpu = torch.device("cpu")
+    able = any(torch.cpu.get_capabilities().get(name) for name in ("avx512_bf16", "amx_bf16"))
+
+    assert product_dtype("float32", cpu) is torch.float32
+    assert product_dtype("bfloat16", cpu) is torch.bfloat16
+    assert product_dtype("auto", cpu) is (torch.bfloat16 if able else torch.float32)
+
+
+def test_bfloat16_products_learn_as_float32_ones_do(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """Epoch by epoch the likelihood is the same to a percent, and what is kept and saved stays float32."""
+    likelihoods = []
+    for precision in ("float32", "bfloat16"):
+        train_run(replace(recipe, epochs=4, precision=precision), pushes, tmp_path / precision)
+        likelihoods.append([line["nll"] for line in metrics_of(tmp_path / precision)])
+    weights = load_run(tmp_path / "bfloat16")[1].state_dict().values()
+
+    assert likelihoods[1] == pytest.approx(likelihoods[0], rel=0.01)
+    assert likelihoods[0] != likelihoods[1]
+    assert {value.dtype for value in weights} == {torch.float32}
+
+
+def test_another_surface_is_recorded(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """A run that is held to another surface says whose pushes these are."""
+    plywood = replace(pushes, source="another surface of a test", digest="1" * 64)
+    data = TrainingData.of(different_objects(), ContextKind.INDICATOR, pushes, plywood)
+
+    fit(replace(recipe, epochs=1), data, tmp_path, quiet=True)
+
+    assert load_run(tmp_path)[2] == {
+        "source": pushes.source,
+        "sha256": pushes.digest,
+        "held_out_source": "another surface of a test",
+        "held_out_sha256": "1" * 64,
+    }

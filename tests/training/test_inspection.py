@@ -8,13 +8,13 @@ import pytest
 
 from service.errors import DataError
 from tests.training.copies import SOURCE, write_surface, write_views
-from training.data import DATASET_FILE, UNKNOWN_SOURCE, omnipush_descriptors, plywood_descriptors
+from training.data import DATASET_FILE, UNKNOWN_SOURCE, different_surfaces, omnipush_descriptors
 from training.findings import Severity
 from training.inspection import Inspection, inspect
 from training.omnipush_files import Variant
 from training.release import SurfaceKind
 
-TEN = plywood_descriptors()
+TEN = different_surfaces().test
 
 
 @pytest.fixture

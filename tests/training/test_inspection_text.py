@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.training.copies import write_surface, write_views
-from training.data import omnipush_descriptors, plywood_descriptors
+from training.data import different_surfaces, omnipush_descriptors
 from training.findings import Finding, Severity
 from training.inspection import Inspection, inspect
 from training.inspection_text import SHOWN, inspection_document, inspection_lines, likeness_lines, next_step
@@ -15,8 +15,8 @@ from training.inspection_text import SHOWN, inspection_document, inspection_line
 @pytest.fixture
 def found(tmp_path: Path) -> Inspection:
     """A plywood surface of which one object has no view."""
-    write_surface(tmp_path / "plywood", plywood_descriptors())
-    write_views(tmp_path / "top-down_view", plywood_descriptors()[1:])
+    write_surface(tmp_path / "plywood", different_surfaces().test)
+    write_views(tmp_path / "top-down_view", different_surfaces().test[1:])
     return inspect(tmp_path, quiet=True)
 
 
@@ -55,7 +55,7 @@ def test_the_document_has_the_same_as_json(found: Inspection) -> None:
     assert [(each["severity"], each["code"]) for each in document["findings"]] == [("warning", "views-missing")]
     assert (surface["surface"], surface["objects"], surface["pushes"], surface["views"]) == ("plywood", 10, 2500, 9)
     assert surface["rows_per_object"] == {"min": 250, "median": 250.0, "max": 250}
-    assert surface["published_objects"] == {"test": {"present": list(plywood_descriptors()), "missing": []}}
+    assert surface["published_objects"] == {"test": {"present": list(different_surfaces().test), "missing": []}}
     assert surface["statistics"]["object yaw_rad"]["published_std"] == 0.21515865623950958
     assert surface["missed_share"] == 0.0
 

@@ -1,6 +1,6 @@
 """The published lists, as a folder has them."""
 
-from training.data import different_objects, omnipush_descriptors, plywood_descriptors
+from training.data import different_objects, different_surfaces, omnipush_descriptors
 from training.findings import Severity
 from training.membership import membership
 from training.release import SurfaceKind
@@ -46,8 +46,8 @@ def test_missing_objects_are_errors_and_extra_ones_warnings() -> None:
 
 def test_plywood_holds_its_own_ten() -> None:
     """One of them is none of the 250."""
-    found = membership(SurfaceKind.PLYWOOD, plywood_descriptors())
+    found = membership(SurfaceKind.PLYWOOD, different_surfaces().test)
 
     assert [(each.name, len(each.present), each.missing) for each in found.lists] == [("test", 10, ())]
-    assert len(set(plywood_descriptors()) - set(omnipush_descriptors())) == 1
+    assert len(set(different_surfaces().test) - set(omnipush_descriptors())) == 1
     assert list(found.findings("plywood")) == []

@@ -9,7 +9,7 @@ from service.contract import ContextKind
 from service.errors import DataError
 from service.manifest import is_name
 from training.data import different_objects
-from training.networks import METHODS
+from training.methods import METHODS
 from training.recipes import Recipe, parse_recipe, parse_recipe_record, read_recipe, recipe_names
 
 
@@ -40,9 +40,9 @@ def test_the_shipped_recipes_are_the_paper_s_methods() -> None:
     indicator, none = read_recipe("push-indicator"), read_recipe("push-none")
 
     assert (indicator.method, indicator.lambda_1, indicator.lambda_2) == ("FCN + CM + L2Reg", 0.01, 10.0)
-    assert indicator.network().context_kind is ContextKind.INDICATOR
+    assert indicator.context_kind is ContextKind.INDICATOR
     assert none.method == "FCN"
-    assert none.network().context_kind is ContextKind.NONE
+    assert none.context_kind is ContextKind.NONE
 
 
 def test_a_record_reads_back_as_the_recipe(recipe: Recipe) -> None:
@@ -97,7 +97,11 @@ def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, ex
     ("field", "value"),
     [
         pytest.param("method", "FCN + XX", id="unknown method"),
+        pytest.param("context", "smell", id="unknown kind of context"),
+        pytest.param("context", "none", id="a mask without context"),
         pytest.param("set_up", "different-planets", id="unknown set-up"),
+        pytest.param("precision", "float8", id="unknown precision"),
+        pytest.param("warm_up_steps", -1, id="a negative warm-up"),
         pytest.param("epochs", 0, id="no epochs"),
         pytest.param("batch_objects", -64, id="a negative batch"),
         pytest.param("learning_rate", 0.0, id="no learning rate"),
@@ -115,6 +119,19 @@ def test_an_impossible_field_is_named(recipe: Recipe, field: str, value: object)
 
     assert f"here: {field} is {value!r}" in str(caught.value)
     assert "expected" in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["FCN", "ANP"])
+def test_a_method_without_use_for_a_context_has_none(recipe: Recipe, method: str) -> None:
+    """The message says which contexts the paper has it with."""
+    with pytest.raises(DataError, match=rf"context is 'indicator'; expected none with {method}"):
+        parse_recipe_record({**asdict(recipe), "method": method}, "here")
+
+
+@pytest.mark.parametrize("set_up", ["different-surfaces", *(f"different-weights-{count}" for count in (0, 1, 2))])
+def test_every_set_up_of_the_paper_can_be_named(recipe: Recipe, set_up: str) -> None:
+    """Its split carries its name."""
+    assert parse_recipe_record({**asdict(recipe), "set_up": set_up}, "here").split().name == set_up
 
 
 def test_a_file_that_is_not_toml_is_refused() -> None:

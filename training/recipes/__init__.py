@@ -2,17 +2,25 @@
 
 import math
 import tomllib
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from service.contract import ContextKind
 from service.errors import DataError
 from service.manifest import is_name
-from training.data import Split, different_objects
-from training.networks import METHODS, Method
+from training.data import Split, different_objects, different_surfaces, different_weights
+from training.methods import METHODS, Method
 
-SET_UPS = {"different-objects": different_objects}
+SET_UPS: Final[dict[str, Callable[[], Split]]] = {
+    "different-objects": different_objects,
+    "different-surfaces": different_surfaces,
+    **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
+}
+PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 
 @dataclass(frozen=True)
@@ -21,17 +29,27 @@ class Recipe:
 
     name: str  # of the model in the registry
     method: str  # a row of the paper's tables
+    context: str  # kind of context: none, indicator or visual
     set_up: str
     epochs: int
     batch_objects: int  # objects per mini-batch, each with all its pushes
-    learning_rate: float
+    learning_rate: float  # of Adam; with warm-up the highest
+    warm_up_steps: int  # steps to the highest rate, which then falls with the root of the step; 0: a constant rate
     lambda_1: float
     lambda_2: float
+    precision: (
+        str  # of the wide matrix products: float32, bfloat16, or auto: bfloat16 where the processor multiplies it
+    )
     seed: int
 
     def network(self) -> Method:
         """The method that the recipe names."""
         return METHODS[self.method]
+
+    @property
+    def context_kind(self) -> ContextKind:
+        """What the network wants to know of the object."""
+        return ContextKind(self.context)
 
     def split(self) -> Split:
         """The objects to train on and to hold out."""
@@ -89,10 +107,16 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
         raise DataError(f"{where}: method is {values['method']!r}; expected one of {', '.join(METHODS)}")
     if values["set_up"] not in SET_UPS:
         raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(SET_UPS)}")
+    kinds = [str(kind) for kind in ContextKind if METHODS[values["method"]].takes(kind)]
+    if values["context"] not in kinds:
+        accepted = f"{' or '.join(kinds)} with {values['method']}"
+        raise DataError(f"{where}: context is {values['context']!r}; expected {accepted}")
+    if values["precision"] not in PRECISIONS:
+        raise DataError(f"{where}: precision is {values['precision']!r}; expected one of {', '.join(PRECISIONS)}")
     for key in ("epochs", "batch_objects", "learning_rate"):
         if not 0 < values[key] < math.inf:
             raise DataError(f"{where}: {key} is {values[key]}; expected more than 0")
-    for key in ("lambda_1", "lambda_2", "seed"):
+    for key in ("lambda_1", "lambda_2", "warm_up_steps", "seed"):
         if not 0 <= values[key] < math.inf:
             raise DataError(f"{where}: {key} is {values[key]}; expected 0 or more")
     if not is_name(values["name"]):

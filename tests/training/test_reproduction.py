@@ -1,0 +1,124 @@
+"""Reproducing an experiment: every cell and seed once, finished runs not again, figures that are those of the runs."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from service.contract import ContextKind
+from service.errors import DataError
+from training.data import Pushes, different_objects
+from training.evaluate import evaluate
+from training.experiments import Cell, Experiment, experiments
+from training.fit import CHECKPOINT_FILE, COST_FILE, METRICS_FILE, WEIGHTS_FILE, load_run
+from training.reproduction import CELLS, data_reader, reproduce
+from training.samples import TrainingData
+
+
+@pytest.fixture(scope="module")
+def small() -> Experiment:
+    """Four cells of different-objects."""
+    found = experiments()["different-objects"]
+    table = found.tables[0]
+    rows = {name: table.paper[name] for name in ("ANP", "FCN", "FCN + CM", "FCN + CM + L2Reg")}
+    return replace(found, tables=(replace(table, paper=rows),), precision="float32")
+
+
+class Reader:
+    """Hands out data and remembers for whom."""
+
+    def __init__(self, pushes: Pushes) -> None:
+        self.pushes, self.asked = pushes, set[tuple[Cell, int]]()
+
+    def __call__(self, cell: Cell, seed: int) -> TrainingData:
+        """The synthetic pushes."""
+        self.asked.add((cell, seed))
+        return TrainingData.of(different_objects(), ContextKind(cell.context), self.pushes)
+
+
+def test_every_cell_and_seed_is_a_run_that_was_measured(
+    small: Experiment, viewed_pushes: Pushes, tmp_path: Path
+) -> None:
+    """The figures are those of the weights in its folder, on the objects held out."""
+    reader = Reader(viewed_pushes)
+    results = reproduce(small, reader, tmp_path, seeds=2, epochs=1, quiet=True)
+
+    assert [(result.cell, result.seed) for result in results] == [
+        (cell, seed) for seed in (0, 1) for cell in small.cells
+    ]
+    assert reader.asked == {(result.cell, result.seed) for result in results}
+    for result in results:
+        run = tmp_path / CELLS / "different-objects" / result.cell.slug / f"seed-{result.seed}"
+        recipe, network, origin = load_run(run)
+        data = reader(result.cell, result.seed)
+        assert recipe == small.recipe(result.cell, result.seed, epochs=1)
+        assert (result.found, result.origin) == (evaluate(network, data.held_out), origin)
+        assert result.cost == json.loads((run / COST_FILE).read_text(encoding="utf-8"))
+
+
+def test_only_a_neural_process_is_shown_its_targets(small: Experiment, viewed_pushes: Pushes, tmp_path: Path) -> None:
+    """And what it says then is not what it says from its prior."""
+    results = reproduce(small, Reader(viewed_pushes), tmp_path, seeds=1, epochs=1, quiet=True)
+
+    leaked = {result.cell.method: result.leaked for result in results if result.leaked is not None}
+    assert list(leaked) == ["ANP"]
+    assert leaked["ANP"] != results[0].found
+
+
+def test_what_is_finished_is_not_done_again(small: Experiment, viewed_pushes: Pushes, tmp_path: Path) -> None:
+    """A run that was killed is made, those that were finished keep their records to the byte; figures are the same."""
+    first = reproduce(small, Reader(viewed_pushes), tmp_path, seeds=1, epochs=2, quiet=True)
+    killed = tmp_path / CELLS / "different-objects" / "fcn" / "seed-0"
+    for name in (CHECKPOINT_FILE, WEIGHTS_FILE, COST_FILE, METRICS_FILE):
+        (killed / name).unlink()
+    kept = [
+        tmp_path / CELLS / "different-objects" / slug / "seed-0" / METRICS_FILE for slug in ("anp", "fcn-cm-indicator")
+    ]
+    before = [path.read_bytes() for path in kept]
+
+    again = reproduce(small, Reader(viewed_pushes), tmp_path, seeds=1, epochs=2, quiet=True)
+
+    assert [result.found for result in again] == [result.found for result in first]
+    assert [path.read_bytes() for path in kept] == before
+    assert len((killed / METRICS_FILE).read_text(encoding="utf-8").splitlines()) == 2
+
+
+def test_another_number_of_epochs_needs_another_folder(
+    small: Experiment, viewed_pushes: Pushes, tmp_path: Path
+) -> None:
+    """A table never mixes runs of different length."""
+    reproduce(small, Reader(viewed_pushes), tmp_path, seeds=1, epochs=1, quiet=True)
+
+    with pytest.raises(DataError, match="records another run"):
+        reproduce(small, Reader(viewed_pushes), tmp_path, seeds=1, epochs=2, quiet=True)
+
+
+def test_missing_data_are_said_before_any_training(tmp_path: Path, data_folder: Path) -> None:
+    """No views beside the folder: nothing is trained first."""
+    experiment = experiments()["different-objects"]
+    read = data_reader(experiment, data_folder, tmp_path / "no-views")
+
+    with pytest.raises(DataError, match="no-views is not a folder of top-down views"):
+        reproduce(experiment, read, tmp_path / "out", seeds=1, epochs=1, quiet=True)
+
+    assert not (tmp_path / "out").exists()
+
+
+def test_pushes_are_read_once_for_the_cells_that_share_them(data_folder: Path) -> None:
+    """The same object again, whatever the method and seed."""
+    experiment = experiments()["different-objects"]
+    read = data_reader(experiment, data_folder)
+    masked, regularised = (Cell("different-objects", f"FCN + CM{more}", "indicator") for more in ("", " + L2Reg"))
+
+    assert read(masked, 0) is read(regularised, 1)
+
+
+def test_each_repeat_of_the_regression_draws_its_own_processes() -> None:
+    """Shared by its methods, different from the next."""
+    experiment = experiments()["gaussian-process"]
+    read = data_reader(experiment, Path("not needed"))
+    first, other = experiment.cells[:2]
+
+    assert read(first, 0) is read(other, 0)
+    assert read(first, 0).origin != read(first, 1).origin
