@@ -69,6 +69,11 @@ def reason(error: OSError) -> str:
     return error.strerror or "the disk refused"
 
 
+def must_be_folder(path: Path) -> None:
+    """Raise where a path is a link, however good the folder behind it."""
+    os.close(os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC))
+
+
 def discard(path: Path) -> None:
     """Delete a file or a whole folder; links are not followed."""
     if path.is_dir() and not path.is_symlink():

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from service.disk import lock, read_plain, reason, sync
+from service.disk import lock, must_be_folder, read_plain, reason, sync
 from service.errors import BrokenModelError, PublishError, RegistryError
 from service.folder_writer import ALIASES, REMOVED, SIGNATURES, STAGING_PREFIX, FolderWriter
 from service.history import Event, History, ModelState
@@ -179,6 +179,7 @@ class FolderStorage:
     @contextlib.contextmanager
     def _writing(self, name: str) -> Iterator[FolderWriter]:
         """The only writer of a model, with what others left undone put right."""
+        must_be_folder(self.root / name)
         descriptor = lock(self.root / name / HISTORY)
         try:
             writer = FolderWriter(self.root / name, descriptor, self.history(name), lambda: self.state(name))

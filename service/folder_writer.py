@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from service.disk import discard, reason, sync, write_all, write_synced
+from service.disk import discard, must_be_folder, reason, sync, write_all, write_synced
 from service.errors import RegistryError
 from service.history import PUBLISH, REPAIR, Event, History, ModelState, unrecorded
 from service.manifest import MANIFEST_FILE
@@ -87,6 +87,7 @@ class FolderWriter:
         """Create or replace a small file in a folder of the model."""
         target = self._folder / folder
         target.mkdir(exist_ok=True)
+        must_be_folder(target)
         with self._staging() as staging:
             write_synced(staging, content)
             staging.rename(target / file)

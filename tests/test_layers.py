@@ -17,7 +17,8 @@ SERVICE: dict[str, set[str]] = {
     "folder_writer": {"errors", "history", "manifest", "disk"},
     "folder": {"errors", "history", "manifest", "storage", "disk", "folder_writer"},
     "registry": {"errors", "history", "manifest", "storage", "folder"},
-    "predictor": {"errors", "contract", "manifest"},
+    "graph": {"errors"},
+    "predictor": {"errors", "contract", "manifest", "graph"},
     "loaded_models": {"errors", "contract", "history", "manifest", "registry", "predictor"},
     "schemas": {"errors", "contract", "manifest"},
     "settings": set(),
@@ -48,6 +49,7 @@ OUTSIDE: dict[str, set[str]] = {
     "folder_writer": set(),
     "folder": set(),
     "registry": set(),
+    "graph": {"google", "onnx"},
     "predictor": {"numpy", "onnxruntime"},
     "loaded_models": {"numpy"},
     "schemas": {"pydantic"},
@@ -124,7 +126,7 @@ def test_serving_loads_neither_torch_nor_the_trainer(project_root: Path) -> None
     done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
     loaded = set(ast.literal_eval(done.stdout))
     assert "service" in loaded
-    assert not loaded & {"torch", "training", "mujoco", "onnx", "safetensors"}
+    assert not loaded & {"torch", "training", "mujoco", "safetensors"}
 
 
 def test_nothing_happens_at_import(project_root: Path) -> None:
