@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from service.disk import lock, must_be_folder, read_plain, reason, sync
+from service.disk import lock, must_be_folder, read_plain, reason
 from service.errors import BrokenModelError, PublishError, RegistryError
 from service.folder_writer import ALIASES, REMOVED, SIGNATURES, STAGING_PREFIX, FolderWriter
 from service.history import Event, History, ModelState
@@ -67,12 +67,14 @@ class FolderStorage:
         with self._folder(name, str(version)) as folder:
             return read_plain(folder, file, limit)
 
-    def publish(self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes]) -> int:
+    def publish(
+        self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None = None
+    ) -> int:
         """See ``Storage.publish``."""
         try:
             (self.root / name).mkdir(parents=True, exist_ok=True)
             with self._writing(name) as writer:
-                return writer.publish(files, manifest)
+                return writer.publish(files, manifest, number)
         except OSError as error:
             raise PublishError(f"{name}: {reason(error)}; nothing was published") from error
 
@@ -105,8 +107,7 @@ class FolderStorage:
         """See ``Storage.sign``."""
         try:
             with self._writing(name) as writer:
-                writer.put(SIGNATURES, str(version), signature)
-                sync(self.root / name / SIGNATURES)
+                writer.sign(version, signature)
         except OSError as error:
             raise RegistryError(f"{name}@{version}: {reason(error)}; it was not signed") from error
 

@@ -11,7 +11,7 @@ from typing import Final
 
 from service.disk import discard, must_be_folder, reason, sync, write_all, write_synced
 from service.errors import RegistryError
-from service.history import PUBLISH, REPAIR, Event, History, ModelState, unrecorded
+from service.history import PUBLISH, REPAIR, SIGN, Event, History, ModelState, unrecorded
 from service.manifest import MANIFEST_FILE
 
 ALIASES: Final = "aliases"
@@ -45,9 +45,11 @@ class FolderWriter:
         for event in unrecorded(self._history.state(), self.state):
             self._record(event)
 
-    def publish(self, files: Mapping[str, bytes], manifest: Callable[[int], bytes]) -> int:
+    def publish(self, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None) -> int:
         """Stage, sync, rename, record."""
-        version = max(self.state.next_version, self._history.state().next_version)
+        recorded = self._history.state()
+        known = ModelState(self.state.versions | recorded.versions, removed=self.state.removed | recorded.removed)
+        version = known.free(number)
         content = manifest(version)
         with self._staging() as staging:
             staging.mkdir()
@@ -82,6 +84,13 @@ class FolderWriter:
         if event.alias is None and event.before is not None:
             self._empty(event.before)
         return recorded
+
+    def sign(self, version: int, signature: bytes) -> None:
+        """Store a signature beside the version."""
+        self.put(SIGNATURES, str(version), signature)
+        with self._visible(event := Event(SIGN, None, version)):
+            sync(self._folder / SIGNATURES)
+            self._record(event)
 
     def put(self, folder: str, file: str, content: bytes) -> None:
         """Create or replace a small file in a folder of the model."""

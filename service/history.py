@@ -16,9 +16,12 @@ from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Final, Self
 
+from service.errors import ConflictError
+
 PUBLISH: Final = "publish"
 REMOVE: Final = "remove"
 REPAIR: Final = "repair"
+SIGN: Final = "sign"
 VANISH: Final = "vanish"
 _ALIAS: Final = "alias "
 _NO_HASH: Final = hashlib.sha256().hexdigest()
@@ -38,6 +41,18 @@ class ModelState:
     def next_version(self) -> int:
         """The smallest number above every number that was ever visible."""
         return max(self.versions | self.removed, default=0) + 1
+
+    def free(self, number: int | None) -> int:
+        """The number that is asked for, if it was never visible, or else the next one.
+
+        Raises:
+            ConflictError: it was.
+        """
+        if number is not None and number in self.versions | self.removed:
+            raise ConflictError(
+                f"version {number} is {'taken' if number in self.versions else 'spent: it was removed'}"
+            )
+        return self.next_version if number is None else number
 
     def after(self, event: "Event") -> "ModelState":
         """The state once an event has happened."""

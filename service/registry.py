@@ -182,6 +182,32 @@ class Registry:
 
         return replace(whole, version=self.storage.publish(_checked(draft.name), contents, manifest))
 
+    def copy(self, source: "Registry", name: str, version: int) -> VerifiedVersion:
+        """Copy a version as it is, number and signature included, from another registry; verified at both ends.
+
+        Raises:
+            BrokenModelError: it does not pass verification there, or here afterwards.
+            ConflictError: this registry has, or had, another version of that number.
+            PublishError: this storage refused; nothing became visible.
+        """
+        there = source.read(name, version)
+        if name not in self.names_or_none() or version not in self.state(name).versions:
+            parts = {file: content for file, content in there.files.items() if file != MANIFEST_FILE}
+            self.storage.publish(name, parts, lambda _: there.files[MANIFEST_FILE], version)
+        if there.signature is not None:
+            self.storage.sign(name, version, there.signature)
+        here = self.read(name, version)
+        if here.files != there.files:
+            raise ConflictError(f"{name}@{version} is another version here; nothing was changed")
+        return here
+
+    def names_or_none(self) -> list[str]:
+        """The models, sorted; none where the registry does not exist yet."""
+        try:
+            return self.names()
+        except RegistryError:
+            return []
+
     def point_alias(
         self, name: str, alias: str, version: int, *, expect: int | None = None, reason: str | None = None
     ) -> Event:

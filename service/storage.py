@@ -65,10 +65,13 @@ class Storage(Protocol):
         """
         ...
 
-    def publish(self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes]) -> int:
-        """Make files visible under the next number, the manifest of that number written last; the number.
+    def publish(
+        self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None = None
+    ) -> int:
+        """Make files visible under the next number, or under one that is asked for; its manifest is written last.
 
         Raises:
+            ConflictError: the number that was asked for is taken or spent.
             PublishError: nothing became visible.
             RegistryError: it is visible, and could not be recorded.
         """
