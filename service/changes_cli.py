@@ -1,10 +1,11 @@
 """``cazsl models``: the commands that change a registry; importing this adds them to the group."""
 
 import sys
+from pathlib import Path
 
 import click
 
-from service.errors import CazslError, UnknownModelError
+from service.errors import CazslError, RegistryError, UnknownModelError
 from service.gates import Verdict, judge
 from service.history import Event, History
 from service.loaded_models import LoadedModel, load_version
@@ -164,6 +165,35 @@ def prune(name: str, keep: int, dry_run: bool, reason: str | None, as_json: bool
         say({"removed": [] if dry_run else old, "would_remove": old if dry_run else []})
     else:
         click.echo(f"{'would remove' if dry_run else 'removed'}: {', '.join(map(str, old)) or 'nothing'}")
+
+
+@models.command("sign")
+@click.argument("reference")
+@click.option(
+    "--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=True, help="Private key, PEM."
+)
+@json_option
+@registry_option
+@mend
+def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
+    """Sign a version that verifies with an elliptic-curve key; the version itself does not change.
+
+    \b
+    openssl ecparam -name prime256v1 -genkey -noout -out private.pem
+    openssl ec -in private.pem -pubout -out public.pem
+    CAZSL_REQUIRE_SIGNATURE=public.pem cazsl serve
+    """
+    try:
+        from service.signatures import sign as sign_files
+    except ImportError as error:
+        raise RegistryError("signatures need the extra 'signing': pip install 'cazsl[signing]'") from error
+    store, parsed = open_registry(registry), ModelReference.parse(reference, "reference")
+    version = store.resolve(parsed)
+    store.sign(parsed.name, version, sign_files(store.read(parsed.name, version).files, key))
+    if as_json:
+        say({"name": parsed.name, "version": version})
+    else:
+        click.echo(f"{parsed.name}@{version} is signed")
 
 
 @models.command("push")

@@ -11,8 +11,9 @@ import uvicorn
 import service
 import service.changes_cli
 from service.app import create_app
+from service.errors import CazslError
 from service.loaded_models import DEFAULT_MODELS, LoadedModels, context_kind_of
-from service.location import open_registry
+from service.location import open_registry, trusted_keys
 from service.models_cli import load, models
 from service.predictor import OnnxPredictor
 from service.schemas import ContextBody, PredictRequest, PredictResponse, PusherBody
@@ -51,7 +52,12 @@ def serve(**options: Any) -> None:
         name = "CAZSL_" + "_".join(str(part) for part in first["loc"]).upper()
         raise click.ClickException(f"{name}: {first['msg']}") from error
     configure_logging(settings.log_level)
-    models = LoadedModels(open_registry(settings.registry), OnnxPredictor, settings.newest_versions)
+    try:
+        keys = trusted_keys(settings.require_signature)
+        registry = open_registry(settings.registry, keys, settings.max_model_bytes)
+    except CazslError as error:
+        raise click.ClickException(str(error)) from error
+    models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
     if sys.stdout.isatty():  # a person; whoever collects logs gets JSON lines only
         click.echo(f"serving {settings.registry}; try http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success

@@ -1,5 +1,6 @@
 """A registry from the text that names it: a folder, or ``s3://bucket/prefix``."""
 
+import os
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,28 @@ def open_registry(
         RegistryError: the location cannot be one, or what it needs is not installed.
     """
     return Registry(_storage(location), signatures, max_model_bytes)
+
+
+def trusted_keys(paths: str) -> Signatures | None:
+    """Whoever demands a signature by one of these public keys, PEM files separated as in PATH; None for no keys.
+
+    Raises:
+        RegistryError: a key cannot be read, or what it needs is not installed.
+    """
+    keys = tuple(Path(part) for part in paths.split(os.pathsep) if part)
+    if not keys:
+        return None
+    try:  # a dependency of 50 MiB in memory that only those pay who demand signatures
+        from service.signatures import TrustedKeys
+    except ImportError as error:
+        raise RegistryError("signatures need the extra 'signing': pip install 'cazsl[signing]'") from error
+    for key in keys:
+        try:
+            if b"PUBLIC KEY" not in key.read_bytes():
+                raise RegistryError(f"{key.name} is not a public key in PEM")
+        except OSError as error:
+            raise RegistryError(f"{key.name} cannot be read: {error.strerror}") from error
+    return TrustedKeys(keys)
 
 
 def _storage(location: str) -> Path | Storage:

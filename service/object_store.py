@@ -22,7 +22,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import timedelta
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
@@ -34,6 +34,9 @@ from service.folder_writer import user
 from service.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState
 from service.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, is_name, parse_version
 from service.storage import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, Finding
+
+if TYPE_CHECKING:  # names that only the library's stubs have
+    from obstore.store import S3Config
 
 STATE_FILE: Final = "state.json"
 HISTORY: Final = "history"
@@ -84,6 +87,7 @@ class ObjectStorage:
     def __init__(self, store: S3Store, cache: Cache) -> None:
         self._store = store
         self._cache = cache
+        self._conditions_hold = False
 
     @classmethod
     def at(cls, location: str, cache: Path | None = None) -> Self:
@@ -94,7 +98,7 @@ class ObjectStorage:
         """
         bucket, _, prefix = location.removeprefix("s3://").partition("/")
         endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
-        options: dict[str, Any] = {"endpoint": endpoint} if endpoint else {}
+        options: S3Config = {"endpoint": endpoint} if endpoint else {}
         try:
             store = S3Store(
                 bucket,
@@ -168,6 +172,7 @@ class ObjectStorage:
     ) -> int:
         """See ``Storage.publish``."""
         try:
+            self._must_hold_conditions()
             version, content = self._claim(name, files, manifest, number)
         except (BaseError, OSError) as error:
             raise PublishError(f"{name}: {_reason(error)}; nothing was published") from error
@@ -183,6 +188,7 @@ class ObjectStorage:
     def commit(self, name: str, decide: Decision) -> Event:
         """See ``Storage.commit``."""
         try:
+            self._must_hold_conditions()
             event = self._commit(name, decide)
             if event.what == REMOVE and event.before is not None:
                 self._delete(name, event.before)
@@ -242,6 +248,33 @@ class ObjectStorage:
                     )
                     found.append(Finding(f"{name}/{version}", "is not finished", advice, severe=False))
         return found
+
+    def _must_hold_conditions(self) -> None:
+        """Refuse to write where conditions are not heeded: everything promised rests on them."""
+        if self._conditions_hold:
+            return
+        key = f"probe-{secrets.token_hex(8)}"
+        try:
+            self._create(key, b"first")
+            try:
+                self._create(key, b"second")
+                heeded = False
+            except AlreadyExistsError:
+                heeded = not self._replaces(key, b"third", '"0"')
+        finally:
+            obstore.delete(self._store, key)
+        if not heeded:
+            raise RegistryError(
+                "this store does not heed conditional writes (If-None-Match, If-Match); nothing was written"
+            )
+        self._conditions_hold = True
+
+    def _replaces(self, key: str, content: bytes, tag: str) -> bool:
+        try:
+            obstore.put(self._store, key, content, mode={"e_tag": tag})
+        except PreconditionError:
+            return False
+        return True
 
     def _claim(
         self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None

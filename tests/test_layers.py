@@ -28,7 +28,10 @@ SERVICE: dict[str, set[str]] = {
     "app": {"errors", "loaded_models", "problems", "routes", "settings", "telemetry"},
     "gates": {"contract", "manifest", "loaded_models"},
     "doctor": {"errors", "storage", "registry", "loaded_models"},
-    "location": {"errors", "storage", "registry", "object_store"},
+    "cache": {"errors", "manifest", "disk"},
+    "object_store": {"errors", "history", "manifest", "storage", "cache", "folder_writer"},
+    "signatures": {"errors"},
+    "location": {"errors", "storage", "registry", "object_store", "signatures"},
     "terminal": {"errors"},
     "models_cli": {
         "errors",
@@ -52,9 +55,11 @@ SERVICE: dict[str, set[str]] = {
         "gates",
         "location",
         "models_cli",
+        "signatures",
         "terminal",
     },
     "cli": {
+        "errors",
         "contract",
         "predictor",
         "loaded_models",
@@ -89,6 +94,9 @@ OUTSIDE: dict[str, set[str]] = {
     "app": {"fastapi", "starlette"},
     "gates": {"numpy"},
     "doctor": set(),
+    "cache": set(),
+    "object_store": {"obstore"},
+    "signatures": {"model_signing"},
     "location": set(),
     "terminal": {"click"},
     "models_cli": {"click"},
@@ -161,7 +169,7 @@ def test_serving_loads_neither_torch_nor_the_trainer(project_root: Path) -> None
     done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
     loaded = set(ast.literal_eval(done.stdout))
     assert "service" in loaded
-    assert not loaded & {"torch", "training", "mujoco", "safetensors"}
+    assert not loaded & {"torch", "training", "mujoco", "safetensors", "obstore", "model_signing"}
 
 
 def test_nothing_happens_at_import(project_root: Path) -> None:

@@ -207,16 +207,14 @@ def test_what_an_alias_named_then_can_be_told(registry: Registry) -> None:
 def test_the_fingerprint_changes_with_every_change_and_only_then(registry: Registry) -> None:
     """Publish, move, sign, drop, remove."""
     seen = {registry.fingerprint()}
-    for count, change in enumerate(
-        (
-            lambda: publish_fake(registry, alias=None),
-            lambda: registry.point_alias(NAME, "canary", 2),
-            lambda: registry.sign(NAME, 2, b"signature"),
-            lambda: registry.drop_alias(NAME, "canary"),
-            lambda: registry.remove(NAME, 2),
-        ),
-        start=2,
-    ):
+    changes: tuple[Callable[[], object], ...] = (
+        lambda: publish_fake(registry, alias=None),
+        lambda: registry.point_alias(NAME, "canary", 2),
+        lambda: registry.sign(NAME, 2, b"signature"),
+        lambda: registry.drop_alias(NAME, "canary"),
+        lambda: registry.remove(NAME, 2),
+    )
+    for count, change in enumerate(changes, start=2):
         change()
         seen.add(registry.fingerprint())
         assert len(seen) == count
