@@ -52,4 +52,4 @@ def _cure(error: CazslError, name: str, version: int, named: list[str]) -> str:
         remove = f"point {', '.join(named)} elsewhere (cazsl models rollback {name}), then {remove}"
     if isinstance(error, BrokenModelError) and "signature" in str(error):
         return f"sign it (cazsl models sign {name}@{version} --key KEY), or {remove}"
-    return f"copy it again from where it is whole (cazsl models pull {name}@{version} SOURCE), or {remove}"
+    return f"put its files back from a backup or another registry (digests tell whether they are right), or {remove}"

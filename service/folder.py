@@ -118,6 +118,7 @@ class FolderStorage:
     def survey(self) -> Sequence[Finding]:
         """See ``Storage.survey``."""
         found = []
+        self.models()  # raises where nothing can be told
         for entry in sorted(self.root.iterdir()):
             if not is_name(entry.name) or entry.is_symlink() or not entry.is_dir():
                 if not entry.name.startswith("."):

@@ -97,6 +97,8 @@ class ObjectStorage:
             RegistryError: the location or the environment cannot be one.
         """
         bucket, _, prefix = location.removeprefix("s3://").partition("/")
+        if not bucket:
+            raise RegistryError("a registry in a bucket is s3://bucket/prefix")
         endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
         options: S3Config = {"endpoint": endpoint} if endpoint else {}
         try:
@@ -237,16 +239,17 @@ class ObjectStorage:
 
     def survey(self) -> Sequence[Finding]:
         """See ``Storage.survey``: contents that no state names."""
+        advice = "left by a writer that was interrupted, or being written now; it costs room and nothing else"
         found = []
-        for name in self.models():
-            state = self.state(name)
-            for prefix in obstore.list_with_delimiter(self._store, f"{name}/")["common_prefixes"]:
-                version = parse_version(str(prefix).rpartition("/")[2])
-                if version is not None and version not in state.versions:
-                    advice = (
-                        "left by a writer that was interrupted, or being written now; it costs room and nothing else"
-                    )
-                    found.append(Finding(f"{name}/{version}", "is not finished", advice, severe=False))
+        try:
+            for name in self.models():
+                state = self.state(name)
+                for prefix in obstore.list_with_delimiter(self._store, f"{name}/")["common_prefixes"]:
+                    version = parse_version(str(prefix).rpartition("/")[2])
+                    if version is not None and version not in state.versions | state.removed:
+                        found.append(Finding(f"{name}/{version}", "is not finished", advice, severe=False))
+        except (BaseError, OSError) as error:
+            raise RegistryError(f"the store cannot be reached: {_reason(error)}") from error
         return found
 
     def _must_hold_conditions(self) -> None:

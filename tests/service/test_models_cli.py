@@ -178,5 +178,6 @@ def test_errors_are_json_for_scripts(root: Path) -> None:
     """With a stable code."""
     assert document(root, "show", f"{NAME}@9", status=5)["code"] == "unknown_model"
     assert document(root, "list", "--registry", "ftp://x", status=1)["code"] == "registry"
+    assert document(root, "doctor", "--registry", str(root / "gone"), status=1)["code"] == "registry"
     assert document(root, "verify")[0] == {"reference": f"{NAME}@1", "ok": True, "detail": None}
     assert document(root, "list") == [{"name": NAME, "versions": [1, 2], "aliases": {"champion": 1}}]
