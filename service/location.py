@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Final
 
 from service.errors import RegistryError
-from service.registry import MAX_MODEL_BYTES, Registry, Signatures
+from service.registry import Registry
 from service.storage import Storage
+from service.verification import MAX_MODEL_BYTES, Signatures
 
 S3_SCHEME: Final = "s3://"
 

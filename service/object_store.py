@@ -17,17 +17,12 @@ AWS_ENDPOINT_URL, ... The versions that were read, and the states, are kept in a
 import json
 import os
 import secrets
-import time
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
-import obstore
-from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
-from obstore.store import S3Store
-
+from service.bucket import FAILURES, AlreadyExistsError, Bucket, reason
 from service.cache import Cache
 from service.errors import BrokenModelError, ConflictError, PublishError, RegistryError
 from service.folder_writer import user
@@ -35,15 +30,12 @@ from service.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState
 from service.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, is_name, parse_version
 from service.storage import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, Finding
 
-if TYPE_CHECKING:  # names that only the library's stubs have
-    from obstore.store import S3Config
-
 STATE_FILE: Final = "state.json"
 HISTORY: Final = "history"
 SIGNATURES: Final = "signatures"
 MAX_STATE_BYTES: Final = 4 << 20
+MAX_EVENT_BYTES: Final = 64 << 10
 ATTEMPTS: Final = 50  # at a change that others keep overtaking
-PATIENCE: Final = timedelta(seconds=10)
 
 
 @dataclass(frozen=True)
@@ -84,59 +76,42 @@ class _StateFile:
 class ObjectStorage:
     """See ``service.storage.Storage``."""
 
-    def __init__(self, store: S3Store, cache: Cache) -> None:
-        self._store = store
+    def __init__(self, bucket: Bucket, cache: Cache) -> None:
+        self._bucket = bucket
         self._cache = cache
-        self._conditions_hold = False
 
     @classmethod
-    def at(cls, location: str, cache: Path | None = None) -> Self:
+    def at(cls, location: str) -> Self:
         """The storage at ``s3://bucket/prefix``, with its cache in CAZSL_CACHE or the user's cache folder.
 
         Raises:
             RegistryError: the location or the environment cannot be one.
         """
-        bucket, _, prefix = location.removeprefix("s3://").partition("/")
-        if not bucket:
-            raise RegistryError("a registry in a bucket is s3://bucket/prefix")
-        endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
-        options: S3Config = {"endpoint": endpoint} if endpoint else {}
-        try:
-            store = S3Store(
-                bucket,
-                prefix=prefix.strip("/") or None,
-                config=options,
-                client_options={"timeout": PATIENCE, "allow_http": endpoint.startswith("http://")},
-                retry_config={"max_retries": 2, "retry_timeout": PATIENCE},
-            )
-        except (BaseError, ValueError) as error:
-            raise RegistryError("the bucket cannot be used: see CAZSL_REGISTRY and AWS_* in the environment") from error
-        base = cache or Path(os.environ.get("CAZSL_CACHE") or Path.home() / ".cache" / "cazsl")
-        return cls(store, Cache(base / FileDigest.of(f"{endpoint} {location.rstrip('/')}".encode()).sha256[:32]))
+        bucket = Bucket.at(location)
+        base = Path(os.environ.get("CAZSL_CACHE") or Path.home() / ".cache" / "cazsl")
+        return cls(bucket, Cache(base / FileDigest.of(bucket.address.encode()).sha256[:32]))
 
     def models(self) -> list[str]:
         """See ``Storage.models``; what the cache knows where the store cannot be reached."""
         try:
-            found = obstore.list_with_delimiter(self._store)["common_prefixes"]
-        except (BaseError, OSError) as error:
+            found = self._bucket.folders()
+        except FAILURES as error:
             if (known := self._cache.models()) is None:
-                raise RegistryError(f"the registry cannot be listed: {_reason(error)}") from error
+                raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
             return known
-        names = sorted(
-            name for name in (str(prefix).rstrip("/").rpartition("/")[2] for prefix in found) if is_name(name)
-        )
+        names = sorted(filter(is_name, found))
         self._cache.keep_models(names)
         return names
 
     def state(self, name: str) -> ModelState:
         """See ``Storage.state``; what the cache knows where the store cannot be reached."""
         try:
-            content = self._get(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
+            content = self._bucket.get(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
         except FileNotFoundError:
             return ModelState()
-        except (BaseError, OSError) as error:
+        except FAILURES as error:
             if (known := self._cache.state(name)) is None:
-                raise RegistryError(f"{name}: the store cannot be reached: {_reason(error)}") from error
+                raise RegistryError(f"{name}: the store cannot be reached: {reason(error)}") from error
             return _StateFile.parse(known).state
         found = _StateFile.parse(content)
         self._cache.keep_state(name, content)
@@ -147,12 +122,9 @@ class ObjectStorage:
         if self._cache.has(name, version):
             return self._cache.files(name, version)
         try:
-            listing = obstore.list_with_delimiter(self._store, f"{name}/{version}/")
-        except (BaseError, OSError) as error:
-            raise BrokenModelError(f"{name}@{version}: {_reason(error)}") from error
-        return [str(entry["path"]).rpartition("/")[2] for entry in listing["objects"]] + list(
-            listing["common_prefixes"]
-        )
+            return self._bucket.files(f"{name}/{version}/") + self._bucket.folders(f"{name}/{version}/")
+        except FAILURES as error:
+            raise BrokenModelError(f"{name}@{version}: {reason(error)}") from error
 
     def read(self, name: str, version: int, file: str, limit: int) -> bytes:
         """See ``Storage.read``; the cache is asked first, and believed no more than the store."""
@@ -161,11 +133,11 @@ class ObjectStorage:
         if (known := self._cache.read(name, version, file, limit)) is not None:
             return known
         try:
-            content = self._get(f"{name}/{version}/{file}", limit)
+            content = self._bucket.get(f"{name}/{version}/{file}", limit)
         except FileNotFoundError as error:
             raise BrokenModelError(f"{file}: No such file") from error
-        except (BaseError, OSError) as error:
-            raise BrokenModelError(f"{file}: {_reason(error)}") from error
+        except FAILURES as error:
+            raise BrokenModelError(f"{file}: {reason(error)}") from error
         self._cache.keep(name, version, file, content)
         return content
 
@@ -174,10 +146,10 @@ class ObjectStorage:
     ) -> int:
         """See ``Storage.publish``."""
         try:
-            self._must_hold_conditions()
+            self._bucket.must_hold_conditions()
             version, content = self._claim(name, files, manifest, number)
-        except (BaseError, OSError) as error:
-            raise PublishError(f"{name}: {_reason(error)}; nothing was published") from error
+        except FAILURES as error:
+            raise PublishError(f"{name}: {reason(error)}; nothing was published") from error
 
         def decide(state: ModelState) -> Event:
             """Visible from now on, unless the number was spent in the meantime."""
@@ -190,21 +162,23 @@ class ObjectStorage:
     def commit(self, name: str, decide: Decision) -> Event:
         """See ``Storage.commit``."""
         try:
-            self._must_hold_conditions()
+            self._bucket.must_hold_conditions()
             event = self._commit(name, decide)
             if event.what == REMOVE and event.before is not None:
                 self._delete(name, event.before)
-        except (BaseError, OSError) as error:
-            raise RegistryError(f"{name}: {_reason(error)}; look at the history for whether it was done") from error
+        except FAILURES as error:
+            raise RegistryError(f"{name}: {reason(error)}; look at the history for whether it was done") from error
         return event
 
     def history(self, name: str) -> History:
         """See ``Storage.history``."""
         try:
             found = self._state_file(name)[0]
-            lines = [self._get(_event_key(name, number), 1 << 16) for number in range(1, found.generation)]
-        except (BaseError, OSError) as error:
-            raise RegistryError(f"{name}: the history cannot be read: {_reason(error)}") from error
+            lines = [
+                self._bucket.get(_event_key(name, number), MAX_EVENT_BYTES) for number in range(1, found.generation)
+            ]
+        except FAILURES as error:
+            raise RegistryError(f"{name}: the history cannot be read: {reason(error)}") from error
         if sum(map(len, lines)) > MAX_HISTORY_BYTES:
             raise RegistryError(f"{name}: the history is larger than {MAX_HISTORY_BYTES} bytes")
         return History.parse(b"".join([*lines, found.event]))
@@ -212,10 +186,10 @@ class ObjectStorage:
     def signature(self, name: str, version: int) -> bytes | None:
         """See ``Storage.signature``; what the cache knows where the store cannot be reached."""
         try:
-            content = self._get(f"{name}/{SIGNATURES}/{version}", MAX_SIGNATURE_BYTES)
+            content = self._bucket.get(f"{name}/{SIGNATURES}/{version}", MAX_SIGNATURE_BYTES)
         except FileNotFoundError:
             return None
-        except (BaseError, OSError):
+        except FAILURES:
             return self._cache.signature(name, version)
         self._cache.keep_signature(name, version, content)
         return content
@@ -223,19 +197,18 @@ class ObjectStorage:
     def sign(self, name: str, version: int, signature: bytes) -> None:
         """See ``Storage.sign``; the state is touched, so that fingerprints tell."""
         try:
-            obstore.put(self._store, f"{name}/{SIGNATURES}/{version}", signature)
+            self._bucket.put(f"{name}/{SIGNATURES}/{version}", signature)
             self._commit(name, lambda _: Event(SIGN, None, version))
-        except (BaseError, OSError) as error:
-            raise RegistryError(f"{name}@{version}: {_reason(error)}; it was not signed") from error
+        except FAILURES as error:
+            raise RegistryError(f"{name}@{version}: {reason(error)}; it was not signed") from error
 
     def fingerprint(self) -> Hashable:
         """See ``Storage.fingerprint``: one listing, and one look at the state of each model."""
         try:
-            listing = obstore.list_with_delimiter(self._store)["common_prefixes"]
-            names = sorted(str(prefix).rstrip("/").rpartition("/")[2] for prefix in listing)
-            return tuple((name, self._tag(f"{name}/{STATE_FILE}")) for name in names if is_name(name))
-        except (BaseError, OSError) as error:
-            raise RegistryError(f"the store cannot be reached: {_reason(error)}") from error
+            names = sorted(filter(is_name, self._bucket.folders()))
+            return tuple((name, self._bucket.tag(f"{name}/{STATE_FILE}")) for name in names)
+        except FAILURES as error:
+            raise RegistryError(f"the store cannot be reached: {reason(error)}") from error
 
     def survey(self) -> Sequence[Finding]:
         """See ``Storage.survey``: contents that no state names."""
@@ -244,40 +217,13 @@ class ObjectStorage:
         try:
             for name in self.models():
                 state = self.state(name)
-                for prefix in obstore.list_with_delimiter(self._store, f"{name}/")["common_prefixes"]:
-                    version = parse_version(str(prefix).rpartition("/")[2])
+                for folder in self._bucket.folders(f"{name}/"):
+                    version = parse_version(folder)
                     if version is not None and version not in state.versions | state.removed:
                         found.append(Finding(f"{name}/{version}", "is not finished", advice, severe=False))
-        except (BaseError, OSError) as error:
-            raise RegistryError(f"the store cannot be reached: {_reason(error)}") from error
+        except FAILURES as error:
+            raise RegistryError(f"the store cannot be reached: {reason(error)}") from error
         return found
-
-    def _must_hold_conditions(self) -> None:
-        """Refuse to write where conditions are not heeded: everything promised rests on them."""
-        if self._conditions_hold:
-            return
-        key = f"probe-{secrets.token_hex(8)}"
-        try:
-            self._create(key, b"first")
-            try:
-                self._create(key, b"second")
-                heeded = False
-            except AlreadyExistsError:
-                heeded = not self._replaces(key, b"third", '"0"')
-        finally:
-            obstore.delete(self._store, key)
-        if not heeded:
-            raise RegistryError(
-                "this store does not heed conditional writes (If-None-Match, If-Match); nothing was written"
-            )
-        self._conditions_hold = True
-
-    def _replaces(self, key: str, content: bytes, tag: str) -> bool:
-        try:
-            obstore.put(self._store, key, content, mode={"e_tag": tag})
-        except PreconditionError:
-            return False
-        return True
 
     def _claim(
         self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None
@@ -288,8 +234,8 @@ class ObjectStorage:
             content = manifest(version)
             try:
                 for file in (MODEL_FILE, CARD_FILE):
-                    self._create(f"{name}/{version}/{file}", files[file])
-                self._create(f"{name}/{version}/{MANIFEST_FILE}", content)
+                    self._bucket.create(f"{name}/{version}/{file}", files[file])
+                self._bucket.create(f"{name}/{version}/{MANIFEST_FILE}", content)
             except AlreadyExistsError as error:
                 if number is not None:
                     raise ConflictError(f"version {number} is taken, or being published") from error
@@ -297,63 +243,33 @@ class ObjectStorage:
             else:
                 return version, content
 
-    def _create(self, key: str, content: bytes) -> None:
-        obstore.put(self._store, key, content, mode="create")
-
     def _commit(self, name: str, decide: Decision) -> Event:
         """Replace the state on condition that it is the one that was decided on; again, if it was not."""
         for _ in range(ATTEMPTS):
             found, tag = self._state_file(name)
             self._record(name, found)
-            event = decide(found.state).signed_off(user(), self._head(name, found))
+            event = decide(found.state).signed_off(user(), FileDigest.of(found.event).sha256)
             line = event.render()
             after = _StateFile(found.state.after(event), found.generation + 1, line)
-            if self._replace(f"{name}/{STATE_FILE}", after.render(), tag):
+            if self._bucket.replace(f"{name}/{STATE_FILE}", after.render(), tag):
                 self._record(name, after)
                 return event
         raise RegistryError(f"{name}: others changed it {ATTEMPTS} times in a row; try again")
-
-    def _replace(self, key: str, content: bytes, tag: str | None) -> bool:
-        """Whether the object is ours now: written, or found to be, after an answer that was lost on the way."""
-        try:
-            if tag is None:
-                obstore.put(self._store, key, content, mode="create")
-            else:
-                obstore.put(self._store, key, content, mode={"e_tag": tag})
-        except (AlreadyExistsError, PreconditionError):
-            if self._get(key, MAX_STATE_BYTES) == content:
-                return True
-            time.sleep(0.01)
-            return False
-        return True
 
     def _record(self, name: str, found: _StateFile) -> None:
         """The last event has its object in the history, whoever writes it."""
         if found.generation:
             try:
-                self._create(_event_key(name, found.generation), found.event)
+                self._bucket.create(_event_key(name, found.generation), found.event)
             except AlreadyExistsError:
                 return
 
-    def _head(self, name: str, found: _StateFile) -> str:
-        return FileDigest.of(found.event).sha256
-
     def _state_file(self, name: str) -> tuple[_StateFile, str | None]:
         try:
-            result = obstore.get(self._store, f"{name}/{STATE_FILE}")
-            content = _bounded(result, STATE_FILE, MAX_STATE_BYTES)
+            content, tag = self._bucket.get_tagged(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
         except FileNotFoundError:
             return _StateFile(), None
-        return _StateFile.parse(content), result.meta["e_tag"]
-
-    def _tag(self, key: str) -> str | None:
-        try:
-            return obstore.head(self._store, key)["e_tag"]
-        except FileNotFoundError:
-            return None
-
-    def _get(self, key: str, limit: int) -> bytes:
-        return _bounded(obstore.get(self._store, key), key.rpartition("/")[2], limit)
+        return _StateFile.parse(content), tag
 
     def _delete(self, name: str, version: int) -> None:
         """What is left of a removed version is its number and its manifest."""
@@ -362,30 +278,9 @@ class ObjectStorage:
             f"{name}/{version}/{CARD_FILE}",
             f"{name}/{SIGNATURES}/{version}",
         ):
-            obstore.delete(self._store, key)
+            self._bucket.delete(key)
         self._cache.forget(name, version)
-
-
-def _bounded(result: "obstore.GetResult", file: str, limit: int) -> bytes:
-    """The bytes of an object, never more than a limit, whatever size it claims."""
-    parts, size = [], result.meta["size"]
-    if size <= limit:
-        size = 0
-        for part in result.stream():
-            size += len(part)
-            parts.append(bytes(part))
-            if size > limit:
-                break
-    if size > limit:
-        raise BrokenModelError(f"{file}: more than {limit} bytes")
-    return b"".join(parts)
 
 
 def _event_key(name: str, number: int) -> str:
     return f"{name}/{HISTORY}/{number:09d}.json"
-
-
-def _reason(error: Exception) -> str:
-    """The first line of what the library says, without addresses of our network."""
-    kind = {"PermissionDeniedError": "no right to", "UnauthenticatedError": "credentials are refused"}
-    return kind.get(type(error).__name__, "the store cannot be reached or refused")

@@ -7,10 +7,10 @@ was compared. Where the bytes lie, and how a change becomes visible, is ``servic
 """
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
 from service.folder import FolderStorage
@@ -27,34 +27,16 @@ from service.manifest import (
     is_name,
 )
 from service.storage import Finding, Storage
+from service.verification import (
+    MAX_CARD_BYTES,
+    MAX_MANIFEST_BYTES,
+    MAX_MODEL_BYTES,
+    Signatures,
+    VerifiedVersion,
+    verify,
+)
 
-MAX_MANIFEST_BYTES: Final = 1 << 20
-MAX_MODEL_BYTES: Final = 64 << 20
-MAX_CARD_BYTES: Final = 1 << 20
 NOWHERE: Final = 0  # as an expectation: the alias is not there yet
-
-
-@dataclass(frozen=True)
-class VerifiedVersion:
-    """A version whose bytes are those that its manifest vouches for."""
-
-    manifest: Manifest
-    model: bytes
-    card: str
-    files: dict[str, bytes]  # every file as it was read, the manifest among them
-    signature: bytes | None
-
-
-class Signatures(Protocol):
-    """Whoever demands signatures; see ``service.signatures``."""
-
-    def check(self, files: dict[str, bytes], signature: bytes | None) -> None:
-        """Accept the bytes of a version.
-
-        Raises:
-            BrokenModelError: nobody who is trusted signed them.
-        """
-        ...
 
 
 class Registry:
@@ -119,9 +101,7 @@ class Registry:
         Raises:
             UnknownModelError: there is no such model, version or alias.
         """
-        if reference.name not in self.names():
-            raise UnknownModelError(f"there is no model {reference.name}")
-        state = self.state(reference.name)
+        state = self.state(self._known(reference.name))
         version = reference.version
         if reference.alias is not None:
             version = state.aliases.get(reference.alias)
@@ -137,25 +117,7 @@ class Registry:
         Raises:
             BrokenModelError: names the file that is at fault, what was found and what was expected.
         """
-        content = self.storage.read(_checked(name), version, MANIFEST_FILE, MAX_MANIFEST_BYTES)
-        manifest = Manifest.parse(content)
-        if (manifest.name, manifest.version) != (name, version):
-            raise BrokenModelError(
-                f"{MANIFEST_FILE}: is of {manifest.name}@{manifest.version}, found as {name}@{version}"
-            )
-        surplus = set(self.storage.files(name, version)) - set(manifest.files) - {MANIFEST_FILE}
-        if surplus:
-            raise BrokenModelError(f"{name}@{version}: {len(surplus)} files are not in the manifest")
-        files = {MANIFEST_FILE: content}
-        for file, limit in ((MODEL_FILE, self._max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
-            files[file] = self.storage.read(name, version, file, limit)
-            _compare(file, files[file], manifest.files[file])
-        signature = self.storage.signature(name, version)
-        if self._signatures is not None:
-            self._signatures.check(files, signature)
-        return VerifiedVersion(
-            manifest, files[MODEL_FILE], files[CARD_FILE].decode("utf-8", "replace"), files, signature
-        )
+        return verify(self.storage, _checked(name), version, self._max_model_bytes, self._signatures)
 
     def publish(self, draft: Manifest, model: bytes, card: str) -> Manifest:
         """Make the next version visible, whole, and return its manifest; the draft's version and files are replaced.
@@ -321,9 +283,9 @@ class Registry:
         return self.storage.survey()
 
     def _known(self, name: str) -> str:
-        if _checked(name) not in self.names():
-            raise UnknownModelError(f"there is no model {name}")
-        return name
+        if _checked(name) in self.names():
+            return name
+        raise UnknownModelError(f"there is no model {name}")
 
 
 def _checked(name: str) -> str:
@@ -335,13 +297,6 @@ def _checked(name: str) -> str:
 def _check_alias(alias: str) -> None:
     if not is_alias(alias):
         raise RegistryError("an alias is of lower-case letters, digits, '-' and '_', and not a number")
-
-
-def _compare(file: str, content: bytes, expected: FileDigest) -> None:
-    found = FileDigest.of(content)
-    if found != expected:
-        what = f"{found.size} of {expected.size} bytes" if found.size != expected.size else "the sha256 differs"
-        raise BrokenModelError(f"{file}: {what}: not the file that was published")
 
 
 def _numbers(versions: list[int]) -> str:

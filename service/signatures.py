@@ -23,7 +23,7 @@ FOLDER = "version"
 
 @dataclass(frozen=True)
 class TrustedKeys:
-    """PEM files of the public keys of which one must have signed; see ``service.registry.Signatures``."""
+    """PEM files of the public keys of which one must have signed; see ``service.verification.Signatures``."""
 
     keys: tuple[Path, ...]
 

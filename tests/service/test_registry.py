@@ -10,7 +10,8 @@ import pytest
 
 from service.errors import BrokenModelError, PublishError, RegistryError, UnknownModelError
 from service.manifest import ModelReference
-from service.registry import MAX_MANIFEST_BYTES, Registry
+from service.registry import Registry
+from service.verification import MAX_MANIFEST_BYTES
 from tests.fakes import draft_manifest, publish_fake
 
 NAME = "push-indicator"
