@@ -153,22 +153,18 @@ class Registry:
             PublishError: this storage refused; nothing became visible.
         """
         there = source.read(name, version)
-        if name not in self.names_or_none() or version not in self.state(name).versions:
-            parts = {file: content for file, content in there.files.items() if file != MANIFEST_FILE}
+        parts = {file: content for file, content in there.files.items() if file != MANIFEST_FILE}
+        try:
             self.storage.publish(name, parts, lambda _: there.files[MANIFEST_FILE], version)
-        if there.signature is not None:
-            self.storage.sign(name, version, there.signature)
-        here = self.read(name, version)
+        except ConflictError:
+            if version not in self.state(name).versions:
+                raise
+        here = verify(self.storage, name, version, self._max_model_bytes, None)
         if here.files != there.files:
             raise ConflictError(f"{name}@{version} is another version here; nothing was changed")
-        return here
-
-    def names_or_none(self) -> list[str]:
-        """The models, sorted; none where the registry does not exist yet."""
-        try:
-            return self.names()
-        except RegistryError:
-            return []
+        if there.signature not in (None, here.signature):
+            self.storage.sign(name, version, there.signature)
+        return self.read(name, version)
 
     def point_alias(
         self, name: str, alias: str, version: int, *, expect: int | None = None, reason: str | None = None

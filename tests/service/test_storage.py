@@ -255,11 +255,13 @@ def test_copies_between_registries_are_the_same_to_the_byte(
 
 def test_a_copy_replaces_nothing(registry: Registry, place: Callable[[str], Registry]) -> None:
     """Another version of that number, or a number that is spent, stays what it is."""
+    registry.sign(NAME, 2, b"signature")
     other = place("other")
     other.publish(draft_manifest(), b"other", "card")
     other.publish(draft_manifest(), b"other", "card")
     with pytest.raises(ConflictError, match="another version"):
         other.copy(registry, NAME, 2)
+    assert other.read(NAME, 2).signature is None
     other.remove(NAME, 2)
     with pytest.raises(ConflictError, match="spent"):
         other.copy(registry, NAME, 2)
