@@ -1,29 +1,25 @@
-"""``cazsl``: serve predictions, look at the registry, predict one push."""
+"""``cazsl``: serve predictions, keep the registry, predict one push."""
 
-import functools
-import json
 import signal
 import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any
 
 import click
 import pydantic
 import uvicorn
 
 import service
+import service.changes_cli
 from service.app import create_app
 from service.errors import CazslError
-from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, context_kind_of, load_version
-from service.manifest import ModelReference
+from service.loaded_models import DEFAULT_MODELS, LoadedModels, context_kind_of
+from service.location import open_registry, trusted_keys
+from service.models_cli import load, models
 from service.predictor import OnnxPredictor
-from service.registry import Registry
 from service.schemas import ContextBody, PredictRequest, PredictResponse, PusherBody
 from service.settings import Settings
 from service.telemetry import configure_logging
-
-P = ParamSpec("P")
+from service.terminal import mend, registry_option
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -40,33 +36,10 @@ def main() -> None:
     """
 
 
-def mend(command: Callable[P, None]) -> Callable[P, None]:
-    """An error of ours becomes one line and exit status 1."""
-
-    @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except CazslError as error:
-            raise click.ClickException(str(error)) from error
-
-    return run
-
-
-registry_option = click.option(
-    "--registry",
-    type=click.Path(file_okay=False, path_type=Path),
-    envvar="CAZSL_REGISTRY",
-    default=Path("models"),
-    show_default=True,
-    help="The folder of models.",
-)
-
-
 @main.command()
 @click.option("--host", help="Address to listen on. [default: 127.0.0.1]")
 @click.option("--port", type=int, help="Port to listen on; 0 picks a free one. [default: 8000]")
-@click.option("--registry", type=click.Path(path_type=Path), help="The folder of models. [default: models]")
+@click.option("--registry", help="The folder of models, or s3://bucket/prefix. [default: models]")
 def serve(**options: Any) -> None:
     """Start the HTTP service; /docs shows and tries every route.
 
@@ -79,7 +52,12 @@ def serve(**options: Any) -> None:
         name = "CAZSL_" + "_".join(str(part) for part in first["loc"]).upper()
         raise click.ClickException(f"{name}: {first['msg']}") from error
     configure_logging(settings.log_level)
-    models = LoadedModels(Registry(settings.registry), OnnxPredictor, settings.newest_versions)
+    try:
+        keys = trusted_keys(settings.require_signature)
+        registry = open_registry(settings.registry, keys, settings.max_model_bytes)
+    except CazslError as error:
+        raise click.ClickException(str(error)) from error
+    models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
     if sys.stdout.isatty():  # a person; whoever collects logs gets JSON lines only
         click.echo(f"serving {settings.registry}; try http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success
@@ -95,54 +73,7 @@ def serve(**options: Any) -> None:
     )
 
 
-@main.group()
-def models() -> None:
-    """Look at the registry."""
-
-
-@models.command("list")
-@registry_option
-@mend
-def list_models(registry: Path) -> None:
-    """Name, versions and aliases of every model."""
-    store = Registry(registry)
-    for name in store.names():
-        aliases = ", ".join(f"{alias} -> {version}" for alias, version in store.aliases(name).items()) or "no alias"
-        click.echo(f"{name}  versions {', '.join(map(str, store.versions(name))) or 'none'}  {aliases}")
-    if not store.names():
-        click.echo("no model is published; train and publish one with: make train")
-
-
-@models.command("show")
-@click.argument("reference")
-@click.option("--json", "as_json", is_flag=True, help="The manifest instead of the card.")
-@registry_option
-@mend
-def show(reference: str, as_json: bool, registry: Path) -> None:
-    """The card of a model: NAME, NAME@ALIAS or NAME@VERSION."""
-    store, parsed = Registry(registry), ModelReference.parse(reference, "reference")
-    version = store.read(parsed.name, store.resolve(parsed))
-    click.echo(json.dumps(json.loads(version.manifest.render()), indent=2) if as_json else version.card)
-
-
-@models.command("verify")
-@click.argument("reference", required=False)
-@registry_option
-@mend
-def verify(reference: str | None, registry: Path) -> None:
-    """Check digests, tensors and self-check of one version, or of all published; exit status 1 if any fails."""
-    store = Registry(registry)
-    references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
-    broken = 0
-    for each in references:
-        try:
-            found = _load(registry, each)
-            click.echo(f"{found.manifest.name}@{found.manifest.version}  ok")
-        except CazslError as error:
-            click.echo(f"{each}  BROKEN  {error}", err=True)
-            broken += 1
-    if broken:
-        sys.exit(1)
+main.add_command(models)
 
 
 @main.command()
@@ -151,7 +82,7 @@ def verify(reference: str | None, registry: Path) -> None:
 @click.option("--model", "reference", help="NAME, NAME@ALIAS or NAME@VERSION. [default: the champion for this context]")
 @registry_option
 @mend
-def predict(descriptor: str | None, pose: tuple[float, float, float], reference: str | None, registry: Path) -> None:
+def predict(descriptor: str | None, pose: tuple[float, float, float], reference: str | None, registry: str) -> None:
     """Predict one push, without a service; prints what POST /v1/predict would answer.
 
     DESCRIPTOR is four sides, each a shape digit and a weight letter, such as 1a2b3c4a. The pusher's pose is in the
@@ -166,12 +97,7 @@ def predict(descriptor: str | None, pose: tuple[float, float, float], reference:
         first = error.errors(include_url=False)[0]
         raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
     push, thing = request.push(), request.object_context()
-    model = _load(registry, reference or DEFAULT_MODELS[context_kind_of(thing)])
+    model = load(open_registry(registry), reference or DEFAULT_MODELS[context_kind_of(thing)])
     gaussian = model.predict_push(push, thing)
     answer = PredictResponse.of(model.manifest.name, model.manifest.version, gaussian)
     click.echo(answer.model_dump_json(indent=2))
-
-
-def _load(registry: Path, reference: str) -> LoadedModel:
-    store, parsed = Registry(registry), ModelReference.parse(reference, "reference")
-    return load_version(store, OnnxPredictor, parsed.name, store.resolve(parsed))

@@ -14,7 +14,9 @@
     ├── ModelNotReadyError             503  the model exists but cannot serve now
     ├── RegistryError                  500  the folder of models is not what it should be
     │   ├── BrokenModelError           500  a version fails verification: never served
-    │   └── PublishError               500  a version cannot be published; nothing became visible
+    │   ├── PublishError               500  a version cannot be published; nothing became visible
+    │   ├── ConflictError              500  somebody else changed it first; nothing was changed
+    │   └── InUseError                 500  an alias names it; nothing was removed
     ├── PredictionError                500  the runtime failed, or gave what no model may give
     └── DataError                           pushes on disk cannot be trained on (trainer only)
 
@@ -163,6 +165,20 @@ class PublishError(RegistryError):
 
     code = "publish"
     title = "The version was not published"
+
+
+class ConflictError(RegistryError):
+    """What was to be changed is not what the caller saw; nothing was changed."""
+
+    code = "conflict"
+    title = "Somebody else changed it first"
+
+
+class InUseError(RegistryError):
+    """A version that an alias names cannot be removed."""
+
+    code = "in_use"
+    title = "The version is in use"
 
 
 class PredictionError(CazslError):

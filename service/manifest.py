@@ -2,6 +2,11 @@
 
 ``manifest.json`` is canonical: sorted keys, UTF-8, two-space indent, one newline at the end, a format number. Laws:
 ``Manifest.parse(m.render()) == m`` and, for every text that we rendered, ``Manifest.parse(t).render() == t``.
+
+Formats, each of which is read for ever:
+
+1. as below, without a digest of its own;
+2. carries ``sha256``, the digest of the canonical text without it: no bit of a manifest can change unseen.
 """
 
 import hashlib
@@ -15,7 +20,9 @@ from typing import Any, Final, Self, get_args, get_origin, get_type_hints
 from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
 from service.errors import BrokenModelError, FieldFault, InvalidRequestError
 
-FORMAT: Final = 1
+FORMAT: Final = 2  # what is written
+FORMATS: Final = (1, 2)  # what is read
+_DIGEST_KEY: Final = "sha256"
 MANIFEST_FILE: Final = "manifest.json"
 MODEL_FILE: Final = "model.onnx"
 CARD_FILE: Final = "card.md"
@@ -182,10 +189,15 @@ class Manifest:
             document = json.loads(content, parse_constant=_refuse_constant)
         except (ValueError, RecursionError) as error:
             raise BrokenModelError(f"{MANIFEST_FILE}: not a JSON document in UTF-8") from error
-        if not isinstance(document, dict) or document.get("format") != FORMAT:
-            raise BrokenModelError(f"{MANIFEST_FILE}: format: this version reads format {FORMAT} only")
+        if not isinstance(document, dict) or type(number := document.get("format")) is not int or number not in FORMATS:
+            known = " and ".join(map(str, FORMATS))
+            raise BrokenModelError(f"{MANIFEST_FILE}: format: this version reads formats {known} only")
+        if number > 1:
+            document.pop(_DIGEST_KEY, None)  # compared below, with everything else
         manifest: Self = _read(cls, document, "manifest")
         manifest._check()
+        if number > 1 and manifest.render() != content:
+            raise BrokenModelError(f"{MANIFEST_FILE}: {_DIGEST_KEY}: not the text that was published")
         return manifest
 
     def _check(self) -> None:
@@ -205,9 +217,11 @@ class Manifest:
                 raise BrokenModelError(f"{MANIFEST_FILE}: {message}")
 
     def render(self) -> bytes:
-        """The canonical text."""
-        text = json.dumps(asdict(self), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
-        return (text + "\n").encode()
+        """The canonical text, from format 2 on with its own digest."""
+        document = asdict(self)
+        if self.format > 1:
+            document[_DIGEST_KEY] = hashlib.sha256(_canonical(document)).hexdigest()
+        return _canonical(document)
 
 
 _POSE_UNITS: Final = ("m", "m", "rad")
@@ -223,6 +237,10 @@ def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
     if kind is ContextKind.NONE:
         return (_PUSHER,)
     return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)
+
+
+def _canonical(document: dict[str, Any]) -> bytes:
+    return (json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def _refuse_constant(name: str) -> float:

@@ -7,6 +7,7 @@ import onnxruntime
 
 from service.contract import ContextKind, FloatArray, IndexArray
 from service.errors import BrokenModelError, PredictionError
+from service.graph import inspect_graph
 from service.manifest import OUTPUTS, Tensor, expected_inputs
 
 
@@ -33,8 +34,10 @@ class OnnxPredictor:
         """Create a session from bytes that were verified.
 
         Raises:
-            BrokenModelError: the runtime refuses the graph, or its tensors are not those of the contract.
+            BrokenModelError: the graph holds what it may not, the runtime refuses it, or its tensors are not those of
+                the contract.
         """
+        inspect_graph(model)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1

@@ -1,31 +1,23 @@
-"""The folder of models: list, resolve, read verified bytes, publish, point aliases.
+"""The registry of models: list, resolve, read verified bytes, publish, move aliases, remove, tell what happened.
 
-    models/<name>/<version>/   manifest.json  model.onnx  card.md     immutable once visible
-    models/<name>/aliases/     champion ...                           one line each: a version
-    models/<name>/history.jsonl                                       one line per publish and alias move
-
-Rules: versions are positive integers. A version becomes visible by one rename of a folder that is whole and synced, so
-a kill at any instant leaves a whole version or none. Aliases are replaced atomically. Reading never writes. Nothing
-found on disk is trusted: names are checked, real paths must lie inside the registry, only regular files are read,
-sizes are bounded before reading, digests are compared before anyone gets a byte.
+Versions are positive integers, never changed and never given twice. An alias names a version that passes verification;
+moving one is compare-and-set. Nothing that a storage hands over is believed: names are checked before it is asked,
+sizes are bounded before reading, and digests are compared before anyone gets a byte, which is then the very byte that
+was compared. Where the bytes lie, and how a change becomes visible, is ``service.storage``'s business.
 """
 
-import contextlib
-import errno
-import getpass
-import json
-import os
-import secrets
-import shutil
-import stat
-from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from collections.abc import Hashable, Sequence
+from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from service.errors import BrokenModelError, PublishError, RegistryError, UnknownModelError
+from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
+from service.folder import FolderStorage
+from service.history import REMOVE, Event, History, ModelState, unrecorded
 from service.manifest import (
     CARD_FILE,
+    FORMAT,
     MANIFEST_FILE,
     MODEL_FILE,
     FileDigest,
@@ -33,69 +25,75 @@ from service.manifest import (
     ModelReference,
     is_alias,
     is_name,
-    parse_version,
+)
+from service.storage import Finding, Storage
+from service.verification import (
+    MAX_CARD_BYTES,
+    MAX_MANIFEST_BYTES,
+    MAX_MODEL_BYTES,
+    Signatures,
+    VerifiedVersion,
+    verify,
 )
 
-ALIASES_FOLDER: Final = "aliases"
-HISTORY_FILE: Final = "history.jsonl"
-STAGING_PREFIX: Final = ".staging-"
-MAX_MANIFEST_BYTES: Final = 1 << 20
-MAX_MODEL_BYTES: Final = 64 << 20
-MAX_CARD_BYTES: Final = 1 << 20
-MAX_ALIAS_BYTES: Final = 16
-_TAKEN: Final = (errno.EEXIST, errno.ENOTEMPTY)
+NOWHERE: Final = 0  # as an expectation: the alias is not there yet
 
 
-@dataclass(frozen=True)
-class VerifiedVersion:
-    """A version whose bytes are those that its manifest vouches for."""
-
-    manifest: Manifest
-    model: bytes
-    card: str
-
-
-@dataclass(frozen=True)
 class Registry:
-    """A registry of models in one folder."""
+    """A registry of models in a folder, or in any other storage."""
 
-    root: Path
+    def __init__(
+        self,
+        location: Path | Storage,
+        signatures: Signatures | None = None,
+        max_model_bytes: int = MAX_MODEL_BYTES,
+    ) -> None:
+        self.storage: Storage = FolderStorage(location) if isinstance(location, Path) else location
+        self._signatures = signatures
+        self._max_model_bytes = max_model_bytes
+
+    @property
+    def root(self) -> Path:
+        """The folder, where the registry lies in one.
+
+        Raises:
+            RegistryError: it lies elsewhere.
+        """
+        if not isinstance(self.storage, FolderStorage):
+            raise RegistryError("this registry is not a folder")
+        return self.storage.root
 
     def names(self) -> list[str]:
         """The models, sorted.
 
         Raises:
-            RegistryError: the folder cannot be listed.
+            RegistryError: it cannot be told.
         """
-        return sorted(name for name in _listing(self.root) if is_name(name) and _is_folder(self.root / name))
+        return self.storage.models()
+
+    def state(self, name: str) -> ModelState:
+        """Versions, aliases and spent numbers of a model.
+
+        Raises:
+            RegistryError: it cannot be told.
+        """
+        return self.storage.state(_checked(name))
 
     def versions(self, name: str) -> list[int]:
         """The visible versions of a model, oldest first; as numbers, so that 10 is newer than 9.
 
         Raises:
-            RegistryError: the folder cannot be listed.
+            RegistryError: it cannot be told.
         """
-        numbers = (parse_version(entry) for entry in _listing(self._folder(name)))
-        return sorted(number for number in numbers if number is not None)
+        return sorted(self.state(name).versions)
 
     def aliases(self, name: str) -> dict[str, int]:
-        """Where each alias of a model points; a file that is not an alias is left out.
+        """Where each alias of a model points, sorted by alias; what is no alias is left out.
 
         Raises:
-            RegistryError: the folder is there and cannot be listed.
+            RegistryError: it cannot be told.
         """
-        folder = self._folder(name) / ALIASES_FOLDER
-        if not _is_folder(folder):
-            return {}
-        found: dict[str, int] = {}
-        for alias in sorted(filter(is_alias, _listing(folder))):
-            with contextlib.suppress(BrokenModelError):
-                version = parse_version(
-                    self._read_file(folder / alias, MAX_ALIAS_BYTES).decode("ascii", "replace").strip()
-                )
-                if version is not None:
-                    found[alias] = version
-        return found
+        return dict(sorted(self.state(name).aliases.items()))
 
     def resolve(self, reference: ModelReference) -> int:
         """The version that a reference means now.
@@ -103,211 +101,199 @@ class Registry:
         Raises:
             UnknownModelError: there is no such model, version or alias.
         """
-        if reference.name not in self.names():
-            raise UnknownModelError(f"there is no model {reference.name}")
-        known = self.versions(reference.name)
+        state = self.state(self._known(reference.name))
         version = reference.version
         if reference.alias is not None:
-            version = self.aliases(reference.name).get(reference.alias)
-        if version not in known:
-            raise UnknownModelError(f"there is no {reference}; versions of {reference.name}: {_numbers(known)}")
+            version = state.aliases.get(reference.alias)
+        if version is None or version not in state.versions:
+            raise UnknownModelError(
+                f"there is no {reference}; versions of {reference.name}: {_numbers(sorted(state.versions))}"
+            )
         return version
 
     def read(self, name: str, version: int) -> VerifiedVersion:
-        """Every byte of a version, verified: format, sizes, digests, no file too many or too few.
+        """Every byte of a version, verified: format, sizes, digests, no file too many or too few, signature.
 
         Raises:
             BrokenModelError: names the file that is at fault, what was found and what was expected.
         """
-        folder = self._folder(name) / str(version)
-        if folder.resolve() != self.root.resolve() / name / str(version):
-            raise BrokenModelError(f"{name}@{version}: its folder lies elsewhere; links are not followed")
-        manifest = Manifest.parse(self._read_file(folder / MANIFEST_FILE, MAX_MANIFEST_BYTES))
-        if (manifest.name, manifest.version) != (name, version):
-            raise BrokenModelError(
-                f"{MANIFEST_FILE}: is of {manifest.name}@{manifest.version}, found as {name}@{version}"
-            )
-        surplus = set(_listing(folder)) - set(manifest.files) - {MANIFEST_FILE}
-        if surplus:
-            raise BrokenModelError(f"{name}@{version}: {len(surplus)} files are not in the manifest")
-        contents = {
-            file: self._read_vouched(folder / file, limit, manifest.files[file])
-            for file, limit in ((MODEL_FILE, MAX_MODEL_BYTES), (CARD_FILE, MAX_CARD_BYTES))
-        }
-        return VerifiedVersion(manifest, contents[MODEL_FILE], contents[CARD_FILE].decode("utf-8", "replace"))
+        return verify(self.storage, _checked(name), version, self._max_model_bytes, self._signatures)
 
     def publish(self, draft: Manifest, model: bytes, card: str) -> Manifest:
         """Make the next version visible, whole, and return its manifest; the draft's version and files are replaced.
 
         Raises:
-            PublishError, BrokenModelError: the disk refused, or the draft breaks the contract; nothing became visible.
-            RegistryError: the version is visible, and the history could not be written.
+            PublishError, BrokenModelError: the storage refused, or the draft breaks the contract; nothing is visible.
+            RegistryError: the version is visible, and could not be recorded.
         """
         contents = {MODEL_FILE: model, CARD_FILE: card.encode()}
-        digests = {file: FileDigest.of(content) for file, content in contents.items()}
-        folder = self._folder(draft.name)
-        staging = folder / f"{STAGING_PREFIX}{secrets.token_hex(8)}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            staging.mkdir()
-            for file, content in contents.items():
-                _write_synced(staging / file, content)
-            manifest = self._make_visible(staging, replace(draft, files=digests))
-        except OSError as error:
-            raise PublishError(
-                f"{draft.name}: {error.strerror or 'the disk refused'}; nothing was published"
-            ) from error
-        finally:
-            shutil.rmtree(staging, ignore_errors=True)
-        self._record(draft.name, "publish", None, manifest.version)
-        return manifest
-
-    def point_alias(self, name: str, alias: str, version: int) -> None:
-        """Point an alias at a version that passes verification, atomically.
-
-        Raises:
-            RegistryError: the alias is not a name, or the disk refused.
-            BrokenModelError: the version does not pass verification; the alias stays.
-        """
-        if not is_alias(alias):
-            raise RegistryError("an alias is of lower-case letters, digits, '-' and '_', and not a number")
-        self.read(name, version)
-        folder = self._folder(name) / ALIASES_FOLDER
-        before = self.aliases(name).get(alias)
-        part = folder / f".{alias}-{secrets.token_hex(8)}"
-        try:
-            folder.mkdir(exist_ok=True)
-            _write_synced(part, f"{version}\n".encode())
-            part.replace(folder / alias)
-            _sync_folder(folder)
-        except OSError as error:
-            with contextlib.suppress(OSError):
-                part.unlink(missing_ok=True)
-            raise RegistryError(f"{name}@{alias}: {error.strerror or 'the disk refused'}; it stays") from error
-        self._record(name, f"alias {alias}", before, version)
-
-    def fingerprint(self) -> tuple[tuple[str, int, int], ...]:
-        """Changes whenever a version or an alias appears, moves or goes: one stat of two folders per model.
-
-        Raises:
-            RegistryError: the folder cannot be listed.
-        """
-        return tuple(
-            (name, _modified(self.root / name), _modified(self.root / name / ALIASES_FOLDER)) for name in self.names()
+        for file, limit in ((MODEL_FILE, self._max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
+            if len(contents[file]) > limit:
+                raise BrokenModelError(f"{file}: {len(contents[file])} bytes; at most {limit} can be read back")
+        whole = replace(
+            draft, format=FORMAT, files={file: FileDigest.of(content) for file, content in contents.items()}
         )
 
-    def _folder(self, name: str) -> Path:
-        if not is_name(name):
-            raise RegistryError("a model name is of lower-case letters, digits, '-' and '_'")
-        return self.root / name
+        def manifest(version: int) -> bytes:
+            """The manifest of that number; what could not be read back must not become visible."""
+            content = replace(whole, version=version).render()
+            if len(content) > MAX_MANIFEST_BYTES:
+                raise BrokenModelError(f"{MANIFEST_FILE}: {len(content)} bytes; at most {MAX_MANIFEST_BYTES}")
+            Manifest.parse(content)
+            return content
 
-    def _make_visible(self, staging: Path, draft: Manifest) -> Manifest:
-        """Write the manifest last, sync, rename to the next number that is free."""
-        folder = staging.parent
-        version = max(self.versions(draft.name), default=0)
-        while True:
-            version += 1
-            manifest = replace(draft, version=version)
-            content = manifest.render()
-            Manifest.parse(content)  # what could not be read back must not become visible
-            _write_synced(staging / MANIFEST_FILE, content)
-            _sync_folder(staging)
-            try:
-                # refuses a folder that is not empty, and a version never is
-                staging.rename(folder / str(version))
-            except OSError as error:
-                if error.errno in _TAKEN:
-                    continue
+        return replace(whole, version=self.storage.publish(_checked(draft.name), contents, manifest))
+
+    def copy(self, source: "Registry", name: str, version: int) -> VerifiedVersion:
+        """Copy a version as it is, number and signature included, from another registry; verified at both ends.
+
+        Raises:
+            BrokenModelError: it does not pass verification there, or here afterwards.
+            ConflictError: this registry has, or had, another version of that number.
+            PublishError: this storage refused; nothing became visible.
+        """
+        there = source.read(name, version)
+        parts = {file: content for file, content in there.files.items() if file != MANIFEST_FILE}
+        try:
+            self.storage.publish(name, parts, lambda _: there.files[MANIFEST_FILE], version)
+        except ConflictError:
+            if version not in self.state(name).versions:
                 raise
-            _sync_folder(folder)
-            _sync_folder(folder.parent)
-            return manifest
+        here = verify(self.storage, name, version, self._max_model_bytes, None)
+        if here.files != there.files:
+            raise ConflictError(f"{name}@{version} is another version here; nothing was changed")
+        if there.signature not in (None, here.signature):
+            self.storage.sign(name, version, there.signature)
+        return self.read(name, version)
 
-    def _record(self, name: str, what: str, before: int | None, after: int) -> None:
-        line = {
-            "time": datetime.now(UTC).isoformat(timespec="seconds"),
-            "who": _user(),
-            "what": what,
-            "from": before,
-            "to": after,
-        }
-        try:
-            descriptor = os.open(self._folder(name) / HISTORY_FILE, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-            with os.fdopen(descriptor, "wb") as file:
-                file.write((json.dumps(line) + "\n").encode())
-                file.flush()
-                os.fsync(file.fileno())
-        except OSError as error:
-            raise RegistryError(
-                f"{name}: {what} of {after} is done, and {HISTORY_FILE} could not be written"
-            ) from error
+    def point_alias(
+        self, name: str, alias: str, version: int, *, expect: int | None = None, reason: str | None = None
+    ) -> Event:
+        """Point an alias at a version that passes verification: compare-and-set.
 
-    def _read_vouched(self, path: Path, limit: int, digest: FileDigest) -> bytes:
-        content = self._read_file(path, limit)
-        found = FileDigest.of(content)
-        if found != digest:
-            what = f"{found.size} of {digest.size} bytes" if found.size != digest.size else "the sha256 differs"
-            raise BrokenModelError(f"{path.name}: {what}: not the file that was published")
-        return content
+        ``expect`` is the version that the alias must name at the instant of the move, ``NOWHERE`` where it must not be
+        there yet, None where it does not matter.
 
-    def _read_file(self, path: Path, limit: int) -> bytes:
-        """A regular file inside the registry, of at most ``limit`` bytes."""
-        try:
-            descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-            with os.fdopen(descriptor, "rb") as file:
-                kind = os.fstat(file.fileno())
-                if not stat.S_ISREG(kind.st_mode):
-                    raise BrokenModelError(f"{path.name}: not a regular file")
-                content = file.read(limit + 1)
-        except OSError as error:
-            raise BrokenModelError(f"{path.name}: {error.strerror or 'cannot be read'}") from error
-        if len(content) > limit:
-            raise BrokenModelError(f"{path.name}: more than {limit} bytes")
-        return content
+        Raises:
+            RegistryError: the alias is not a name, or the storage refused.
+            ConflictError: the alias does not name what was expected; it stays.
+            BrokenModelError: the version does not pass verification; the alias stays.
+        """
+        _check_alias(alias)
+        self.read(name, version)
+
+        def decide(state: ModelState) -> Event:
+            """The move, on the state as it is."""
+            found = state.aliases.get(alias)
+            if expect is not None and found != (expect or None):
+                raise ConflictError(f"{name}@{alias} names {found or 'nothing'}, not {expect or 'nothing'}; it stays")
+            if version not in state.versions:
+                raise ConflictError(f"{name}@{version} has been removed; {name}@{alias} stays")
+            return Event.alias_move(alias, found, version, reason)
+
+        return self.storage.commit(name, decide)
+
+    def drop_alias(self, name: str, alias: str, *, reason: str | None = None) -> Event:
+        """Take an alias away; the version that it named stays.
+
+        Raises:
+            UnknownModelError: there is no such alias.
+            RegistryError: the storage refused.
+        """
+        _check_alias(alias)
+
+        def decide(state: ModelState) -> Event:
+            """The end of the alias, if it is there."""
+            if alias not in state.aliases:
+                raise UnknownModelError(f"there is no {name}@{alias}")
+            return Event.alias_move(alias, state.aliases[alias], None, reason)
+
+        return self.storage.commit(self._known(name), decide)
+
+    def remove(self, name: str, version: int, *, reason: str | None = None) -> Event:
+        """Remove a version for ever; its number is never given again.
+
+        Raises:
+            UnknownModelError: it is not there.
+            InUseError: an alias names it.
+            RegistryError: the storage refused.
+        """
+
+        def decide(state: ModelState) -> Event:
+            """The removal, if nothing names the version at this instant."""
+            if version not in state.versions:
+                raise UnknownModelError(f"there is no {name}@{version}; versions: {_numbers(sorted(state.versions))}")
+            naming = sorted(alias for alias, to in state.aliases.items() if to == version)
+            if naming:
+                raise InUseError(f"{name}@{version} is named by {', '.join(naming)}; point it elsewhere first")
+            return Event(REMOVE, version, None, reason=reason)
+
+        return self.storage.commit(self._known(name), decide)
+
+    def history(self, name: str) -> History:
+        """What happened to a model; ``unrecorded`` tells what no line tells of.
+
+        Raises:
+            RegistryError: it cannot be read.
+        """
+        return self.storage.history(self._known(name))
+
+    def unrecorded(self, name: str) -> Sequence[Event]:
+        """Changes that are there and not in the history; the next change records them.
+
+        Raises:
+            RegistryError: it cannot be told.
+        """
+        return unrecorded(self.history(name).state(), self.state(name))
+
+    def alias_at(self, name: str, alias: str, when: datetime) -> int | None:
+        """The version that an alias named at an instant, as the history tells it.
+
+        Raises:
+            RegistryError: the history cannot be read.
+        """
+        return self.history(name).state(when).aliases.get(alias)
+
+    def sign(self, name: str, version: int, signature: bytes) -> None:
+        """Store the detached signature of a version.
+
+        Raises:
+            RegistryError: it could not be stored.
+        """
+        self.storage.sign(self._known(name), version, signature)
+
+    def fingerprint(self) -> Hashable:
+        """Changes whenever a version, an alias or a signature appears, moves or goes.
+
+        Raises:
+            RegistryError: it cannot be told.
+        """
+        return self.storage.fingerprint()
+
+    def survey(self) -> Sequence[Finding]:
+        """What lies in the storage that is no part of the layout.
+
+        Raises:
+            RegistryError: it cannot be told.
+        """
+        return self.storage.survey()
+
+    def _known(self, name: str) -> str:
+        if _checked(name) in self.names():
+            return name
+        raise UnknownModelError(f"there is no model {name}")
 
 
-def _listing(folder: Path) -> list[str]:
-    try:
-        return [entry.name for entry in folder.iterdir()]
-    except OSError as error:
-        raise RegistryError(f"the registry cannot be listed: {error.strerror}") from error
+def _checked(name: str) -> str:
+    if not is_name(name):
+        raise RegistryError("a model name is of lower-case letters, digits, '-' and '_'")
+    return name
 
 
-def _is_folder(path: Path) -> bool:
-    try:
-        return stat.S_ISDIR(path.stat().st_mode)
-    except OSError:
-        return False
-
-
-def _modified(folder: Path) -> int:
-    try:
-        return folder.stat().st_mtime_ns
-    except OSError:
-        return 0
+def _check_alias(alias: str) -> None:
+    if not is_alias(alias):
+        raise RegistryError("an alias is of lower-case letters, digits, '-' and '_', and not a number")
 
 
 def _numbers(versions: list[int]) -> str:
     return ", ".join(map(str, versions[-10:])) or "none"
-
-
-def _user() -> str:
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user without an entry in passwd
-        return str(os.getuid())
-
-
-def _write_synced(path: Path, content: bytes) -> None:
-    with path.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

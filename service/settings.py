@@ -1,6 +1,5 @@
 """What the operator decides, from the environment: every setting is ``CAZSL_<NAME>``, with a default that works."""
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -14,7 +13,13 @@ class Settings(BaseSettings):
 
     host: Annotated[str, Field(description="address to listen on; loopback unless told otherwise")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535, description="port to listen on; 0 picks a free one")] = 8000
-    registry: Annotated[Path, Field(description="the folder of models")] = Path("models")
+    registry: Annotated[str, Field(description="the folder of models, or s3://bucket/prefix")] = "models"
+    require_signature: Annotated[
+        str, Field(description="public keys (PEM files, separated as in PATH) of which one must have signed a version")
+    ] = ""
+    max_model_bytes: Annotated[
+        int, Field(ge=1024, le=1 << 30, description="largest model file that is read, in bytes")
+    ] = 64 << 20
     poll_interval_s: Annotated[
         float, Field(gt=0, le=3600, description="how often to look for new versions and moved aliases, in s")
     ] = 2.0

@@ -1,5 +1,6 @@
 """Models in memory: verified before they are reachable, swapped whole, kept when what follows is broken."""
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from service.contract import ContextKind, ObjectContext, Pose, VisualContext
 from service.errors import ContextKindError, ModelNotReadyError, UnknownModelError
-from service.loaded_models import LoadedModels
+from service.loaded_models import THOROUGH_EVERY, LoadedModels
 from service.manifest import ModelReference
 from service.registry import Registry
 from tests.fakes import BROKEN, LYING, STD, FakePredictor, fake_models, load_fake, publish_fake
@@ -145,6 +146,50 @@ def test_a_registry_that_is_gone_unloads_nothing(registry: Registry, models: Loa
     shutil.move(registry.root.with_name("away"), registry.root)
     models.refresh()
     assert models.snapshot.problems == ()
+
+
+@pytest.mark.parametrize("gone", ["", NAME, f"{NAME}/1", f"{NAME}/aliases", f"{NAME}/aliases/champion"])
+def test_what_vanishes_without_being_removed_goes_on_being_served(
+    registry: Registry, models: LoadedModels, tmp_path: Path, gone: str
+) -> None:
+    """A mount that leaves an empty folder behind, a model, a version, an alias: a problem, and no one is unloaded."""
+    path = registry.root / gone
+    shutil.move(path, tmp_path / "away")
+    if not gone:
+        path.mkdir()
+    elif gone != NAME:
+        os.utime(registry.root / NAME)
+    models.refresh()
+    assert models.snapshot.find(CHAMPION).manifest.version == 1
+    assert any("vanished" in problem for problem in models.snapshot.problems)
+    if not gone:
+        path.rmdir()
+    shutil.move(tmp_path / "away", path)
+    models.refresh()
+    assert models.snapshot.problems == ()
+
+
+def test_what_was_removed_is_let_go(registry: Registry, models: LoadedModels) -> None:
+    """A removed version and a dropped alias leave the memory without a word."""
+    publish_fake(registry, alias="canary")
+    models.refresh()
+    registry.drop_alias(NAME, "canary")
+    registry.remove(NAME, 2)
+    models.refresh()
+    assert (models.snapshot.versions(NAME), models.snapshot.aliases_of(NAME)) == ([1], {"champion": 1})
+    assert models.snapshot.problems == ()
+
+
+def test_a_change_that_no_folder_tells_of_is_found_in_time(registry: Registry, models: LoadedModels) -> None:
+    """An alias edited in place by hand is noticed by the thorough look."""
+    publish_fake(registry, alias=None)
+    models.refresh()
+    modified = (registry.root / NAME).stat().st_mtime_ns
+    (registry.root / NAME / "aliases" / "champion").write_text("2\n")
+    assert (registry.root / NAME).stat().st_mtime_ns == modified
+    for _ in range(THOROUGH_EVERY):
+        models.refresh()
+    assert models.snapshot.find(CHAMPION).manifest.version == 2
 
 
 def test_an_empty_registry_is_not_ready_and_is_filled_later(tmp_path: Path) -> None:

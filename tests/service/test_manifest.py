@@ -90,6 +90,16 @@ def test_a_manifest_of_format_1_is_read_for_ever(project_root: Path) -> None:
     assert Manifest.parse(content).render() == content
 
 
+def test_every_flipped_bit_of_a_manifest_is_refused() -> None:
+    """Spaces, digits, names, the digest itself: no bit of the text can change."""
+    content = whole().render()
+    for place in range(len(content)):
+        for bit in range(8):
+            flipped = content[:place] + bytes([content[place] ^ 1 << bit]) + content[place + 1 :]
+            with pytest.raises(BrokenModelError, match=r"manifest\.json"):
+                Manifest.parse(flipped)
+
+
 def _changed(*path: str | int, to: Any) -> bytes:
     document: Any = json.loads(whole().render())
     place = document
@@ -109,7 +119,12 @@ def _changed(*path: str | int, to: Any) -> bytes:
         (b"\xff\xfe{}", "not a JSON document"),
         (b"[" * 100_000, "not a JSON document"),
         (b"[]", "format"),
-        (_changed("format", to=2), "format"),
+        (_changed("format", to=3), "format"),
+        (_changed("format", to=True), "format"),
+        (_changed("sha256", to="0" * 64), "sha256"),
+        (_changed("sha256", to=None), "sha256"),
+        (_changed("recipe", "epochs", to=2), "sha256"),
+        (whole().render() + b" ", "sha256"),
         (_changed("version", to=0), "version"),
         (_changed("version", to=True), "version"),
         (_changed("version", to=1.0), "version"),

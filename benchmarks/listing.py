@@ -1,0 +1,50 @@
+"""What looking at a large registry costs: 1,000 versions of one model, and one poll of a service.
+
+python -m benchmarks.listing [--versions 1000]
+
+Published without waiting for the disk to have them, since only reading is measured. Prints the median of 20 warm looks.
+"""
+
+import argparse
+import shutil
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from benchmarks.latency import ROOT
+from service.registry import Registry
+
+NAME = "push-indicator"
+
+
+def median_ms(look: Callable[[], object]) -> float:
+    """Median of 20 looks after a first one."""
+    look()
+    found = []
+    for _ in range(20):
+        started = time.perf_counter()
+        look()
+        found.append(time.perf_counter() - started)
+    return 1000 * statistics.median(found)
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--versions", type=int, default=1000, help="how many versions")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder) / "models"
+        shutil.copytree(ROOT / "models", root)
+        for version in range(2, options.versions + 1):
+            shutil.copytree(root / NAME / "1", root / NAME / str(version))
+        registry = Registry(root)
+        print(f"{len(registry.versions(NAME))} versions of one model, warm")
+        print(f"list versions and aliases    {median_ms(lambda: registry.state(NAME)):8.2f} ms")
+        print(f"one poll without news        {median_ms(registry.fingerprint):8.2f} ms")
+
+
+if __name__ == "__main__":
+    main()

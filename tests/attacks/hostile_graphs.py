@@ -1,0 +1,218 @@
+"""Graphs that no model may be, each with the refusal that it must get. All begin as a small honest graph."""
+
+from collections.abc import Callable
+
+import numpy as np
+import onnx
+from onnx import AttributeProto, ModelProto, TensorProto, helper, numpy_helper
+
+EXTERNAL = "external data: a model is one file"
+
+
+def honest() -> ModelProto:
+    """A graph with the tensors of a model without context: the object moves a tenth of the pusher's way."""
+    tenth = numpy_helper.from_array(np.array([0.1], dtype=np.float32), "tenth")
+    nodes = [helper.make_node("Mul", ["pusher", "tenth"], ["mean"]), helper.make_node("Exp", ["mean"], ["std"])]
+    pose = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", 3]) for name in ("pusher", "mean", "std")]
+    graph = helper.make_graph(nodes, "graph", pose[:1], pose[1:], initializer=[tenth])
+    return helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+
+
+def external(name: str = "outside", location: str = "/etc/passwd") -> TensorProto:
+    """A tensor whose bytes lie in another file."""
+    tensor = TensorProto(name=name, dims=[1], data_type=TensorProto.FLOAT, data_location=TensorProto.EXTERNAL)
+    entry = tensor.external_data.add()
+    entry.key, entry.value = "location", location
+    return tensor
+
+
+def undeclared() -> TensorProto:
+    """Names another file and says that it does not."""
+    tensor = external()
+    tensor.data_location = TensorProto.DEFAULT
+    tensor.raw_data = bytes(4)
+    return tensor
+
+
+def sparse(values: TensorProto) -> onnx.SparseTensorProto:
+    """A sparse tensor around these values."""
+    indices = numpy_helper.from_array(np.zeros(1, dtype=np.int64), "indices")
+    return onnx.SparseTensorProto(values=values, indices=indices, dims=[1])
+
+
+def with_initializer(tensor: TensorProto) -> ModelProto:
+    """One constant more."""
+    model = honest()
+    model.graph.initializer.append(tensor)
+    return model
+
+
+def with_attribute(**values: object) -> ModelProto:
+    """An attribute on the first node."""
+    model = honest()
+    attribute = AttributeProto(name="value")
+    for field, value in values.items():
+        if isinstance(value, list):
+            getattr(attribute, field).extend(value)
+        else:
+            getattr(attribute, field).CopyFrom(value)
+    attribute.type = AttributeProto.TENSOR
+    model.graph.node[0].attribute.append(attribute)
+    return model
+
+
+def with_graph_attribute(deep: int) -> ModelProto:
+    """A sub-graph in a sub-graph, and external data at the bottom."""
+    graph = onnx.GraphProto(name="bottom", initializer=[external()])
+    for _ in range(deep - 1):
+        node = onnx.NodeProto(op_type="If", attribute=[AttributeProto(name="then_branch", g=graph)])
+        graph = onnx.GraphProto(name="above", node=[node])
+    return with_attribute(g=graph)
+
+
+def with_function(tensor: TensorProto) -> ModelProto:
+    """A function that holds a constant."""
+    model = honest()
+    function = model.functions.add()
+    function.name, function.domain = "f", "local"
+    constant = helper.make_node("Constant", [], ["c"])
+    constant.attribute.append(AttributeProto(name="value", t=tensor, type=AttributeProto.TENSOR))
+    function.node.append(constant)
+    return model
+
+
+def with_nodes(*nodes: onnx.NodeProto, constants: dict[str, np.ndarray] | None = None) -> ModelProto:
+    """Nodes whose outputs nobody needs: onnxruntime evaluates constants all the same."""
+    model = honest()
+    model.graph.node.extend(nodes)
+    for name, value in (constants or {}).items():
+        model.graph.initializer.append(numpy_helper.from_array(value, name))
+    return model
+
+
+def in_domain(domain: str) -> ModelProto:
+    """An operator of somebody else's library."""
+    model = with_nodes(helper.make_node("Mul", ["pusher", "tenth"], ["other"], domain=domain))
+    model.opset_import.append(helper.make_opsetid(domain, 1))
+    return model
+
+
+def training() -> ModelProto:
+    """Training information, where a whole graph can hide."""
+    model = honest()
+    model.training_info.add().algorithm.CopyFrom(onnx.GraphProto(name="a", initializer=[external()]))
+    return model
+
+
+def sparse_initializer(tensor: TensorProto) -> ModelProto:
+    """A sparse constant."""
+    model = honest()
+    model.graph.sparse_initializer.append(sparse(tensor))
+    return model
+
+
+def unknown_field() -> ModelProto:
+    """A field that no version of ONNX has; a later reader might take it for a file name."""
+    model = ModelProto()
+    model.ParseFromString(honest().SerializeToString() + b"\xfa\x3f\x04evil")
+    return model
+
+
+def declares(*dims: int) -> ModelProto:
+    """A constant that claims more than it holds."""
+    return with_initializer(TensorProto(name="big", dims=dims, data_type=TensorProto.FLOAT, raw_data=bytes(4)))
+
+
+def outer_product() -> ModelProto:
+    """Two constants of 4 MB whose product has a million million elements."""
+    long = np.ones((1 << 20, 1), dtype=np.float32)
+    return with_nodes(helper.make_node("MatMul", ["a", "b"], ["c"]), constants={"a": long, "b": long.reshape(1, -1)})
+
+
+def expand(to: list[int]) -> ModelProto:
+    """One number, repeated."""
+    return with_nodes(
+        helper.make_node("Expand", ["tenth", "to"], ["huge"]), constants={"to": np.array(to, dtype=np.int64)}
+    )
+
+
+def expand_secretly() -> ModelProto:
+    """One number, repeated as often as arithmetic on numbers says."""
+    return with_nodes(
+        helper.make_node("Exp", ["power"], ["size"]),
+        helper.make_node("Cast", ["size"], ["to"], to=TensorProto.INT64),
+        helper.make_node("Expand", ["tenth", "to"], ["huge"]),
+        constants={"power": np.array([28.0], dtype=np.float32)},
+    )
+
+
+def reshape_secretly() -> ModelProto:
+    """A column and a row whose sizes nobody tells, added."""
+    data = np.ones(1 << 20, dtype=np.float32)
+    column, row = np.array([-1.0, 1.0], dtype=np.float32), np.array([1.0, -1.0], dtype=np.float32)
+    return with_nodes(
+        *(helper.make_node("Cast", [name], [f"{name}-size"], to=TensorProto.INT64) for name in ("column", "row")),
+        helper.make_node("Reshape", ["data", "column-size"], ["a"]),
+        helper.make_node("Reshape", ["data", "row-size"], ["b"]),
+        helper.make_node("Add", ["a", "b"], ["huge"]),
+        constants={"data": data, "column": column, "row": row},
+    )
+
+
+def many_nodes() -> ModelProto:
+    """More steps than any network of ours."""
+    return with_nodes(*(helper.make_node("Neg", ["pusher"], [f"out{place}"]) for place in range(10_001)))
+
+
+def loop() -> ModelProto:
+    """A loop of a million million rounds."""
+    body = helper.make_graph([], "body", [], [])
+    return with_nodes(helper.make_node("Loop", ["m", ""], [], body=body), constants={"m": np.array(10**12)})
+
+
+ATTACKS: dict[str, tuple[Callable[[], ModelProto], str]] = {
+    "initialiser": (lambda: with_initializer(external()), EXTERNAL),
+    "initialiser with a relative path": (lambda: with_initializer(external(location="../card.md")), EXTERNAL),
+    "initialiser that hides it": (lambda: with_initializer(undeclared()), EXTERNAL),
+    "sparse initialiser": (lambda: sparse_initializer(external()), EXTERNAL),
+    "attribute": (lambda: with_attribute(t=external()), EXTERNAL),
+    "attribute list": (lambda: with_attribute(tensors=[external()]), EXTERNAL),
+    "sparse attribute": (lambda: with_attribute(sparse_tensor=sparse(external())), EXTERNAL),
+    "sparse attribute list": (lambda: with_attribute(sparse_tensors=[sparse(external())]), EXTERNAL),
+    "sub-graph": (lambda: with_graph_attribute(1), EXTERNAL),
+    "sub-graph of a sub-graph": (lambda: with_graph_attribute(5), "external data|is not on the list"),
+    "sub-graph list": (lambda: with_attribute(graphs=[onnx.GraphProto(initializer=[external()])]), EXTERNAL),
+    "function": (lambda: with_function(external()), EXTERNAL),
+    "training information": (training, EXTERNAL),
+    "harmless function": (lambda: with_function(numpy_helper.from_array(np.ones(1, np.float32))), "functions"),
+    "harmless sparse tensor": (
+        lambda: sparse_initializer(numpy_helper.from_array(np.ones(1, np.float32), "s")),
+        "sparse tensors",
+    ),
+    "harmless sub-graph": (lambda: with_attribute(g=onnx.GraphProto(name="g")), "sub-graphs"),
+    "unknown field": (unknown_field, "a field that ONNX does not know"),
+    "operator of another domain": (lambda: in_domain("com.microsoft"), "operator com.microsoft:Mul is not on the list"),
+    "loop": (loop, "operator Loop is not on the list"),
+    "random numbers": (lambda: with_nodes(helper.make_node("RandomNormal", [], ["r"], shape=[3])), "RandomNormal"),
+    "constant of a shape": (
+        lambda: with_nodes(helper.make_node("ConstantOfShape", ["s"], ["c"]), constants={"s": np.array([1 << 40])}),
+        "operator ConstantOfShape is not on the list",
+    ),
+    "texts": (
+        lambda: with_initializer(TensorProto(name="t", dims=[1], data_type=TensorProto.STRING, string_data=[b"x"])),
+        "data type 8 is not taken",
+    ),
+    "claims more than it holds": (lambda: declares(1000), "declares 1000 elements and holds 1"),
+    "claims 512 MiB": (lambda: declares(1 << 27), "more than 4194304"),
+    "sizes that overflow": (lambda: declares(1 << 32, 1 << 32), "more than 4194304"),
+    "negative size": (lambda: declares(-1, -1), "a negative size"),
+    "outer product": (outer_product, "elements per push, more than 1048576"),
+    "expansion": (lambda: expand([1 << 20, 1 << 20]), "elements per push, more than 1048576"),
+    "secret expansion": (expand_secretly, "cannot be told before it runs"),
+    "secret sizes": (reshape_secretly, "free sizes in one tensor|elements per push"),
+    "too many nodes": (many_nodes, "more than 10000 nodes"),
+    "shapes that do not fit": (
+        lambda: with_nodes(helper.make_node("MatMul", ["pusher", "odd"], ["x"]), constants={"odd": np.ones((7, 1))}),
+        "shapes do not fit",
+    ),
+}

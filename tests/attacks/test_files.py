@@ -1,0 +1,207 @@
+"""Hostile files in a registry: each is refused by name, nothing hangs, nothing is followed."""
+
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from service.errors import BrokenModelError, CazslError, RegistryError
+from service.registry import Registry
+from service.verification import MAX_CARD_BYTES, MAX_MANIFEST_BYTES, MAX_MODEL_BYTES
+from tests.fakes import publish_fake
+
+NAME = "push-indicator"
+FILES = ("manifest.json", "model.onnx", "card.md")
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    """A registry with one version."""
+    found = Registry(tmp_path / "models")
+    publish_fake(found)
+    return found
+
+
+def symlink(path: Path) -> None:
+    """The right bytes, under a link that could point elsewhere tomorrow."""
+    elsewhere = path.parents[3] / "elsewhere"
+    path.rename(elsewhere)
+    path.symlink_to(elsewhere)
+
+
+def hard_link(path: Path) -> None:
+    """The right bytes, with a second name through which they can be changed."""
+    os.link(path, path.parents[3] / "elsewhere")
+
+
+def pipe(path: Path) -> None:
+    """Reading it would wait for ever."""
+    path.unlink()
+    os.mkfifo(path)
+
+
+def unix_socket(path: Path) -> None:
+    """Not to be opened at all."""
+    path.unlink()
+    here = Path.cwd()
+    os.chdir(path.parent)  # a socket's path has to be short
+    try:
+        with socket.socket(socket.AF_UNIX) as bound:
+            bound.bind(path.name)
+    finally:
+        os.chdir(here)
+
+
+def device(path: Path) -> None:
+    """Reading it would never end."""
+    path.unlink()
+    try:
+        os.mknod(path, 0o20644, os.makedev(1, 5))  # /dev/zero
+    except PermissionError:
+        pytest.skip("no right to make a device")
+
+
+def folder(path: Path) -> None:
+    """Not a file."""
+    path.unlink()
+    path.mkdir()
+
+
+def huge(path: Path) -> None:
+    """A terabyte of holes."""
+    with path.open("r+b") as file:
+        file.truncate(1 << 40)
+
+
+ATTACKS: dict[str, tuple[Callable[[Path], None], str]] = {
+    "symlink": (symlink, "Too many levels of symbolic links"),
+    "hard link": (hard_link, "a hard link"),
+    "pipe": (pipe, "not a regular file"),
+    "socket": (unix_socket, "No such device or address"),
+    "device": (device, "not a regular file"),
+    "folder": (folder, "not a regular file"),
+    "huge": (huge, "more than"),
+}
+
+
+@pytest.mark.parametrize("file", FILES)
+@pytest.mark.parametrize("attack", ATTACKS)
+def test_a_file_that_is_not_a_plain_file_is_refused_by_its_name(registry: Registry, file: str, attack: str) -> None:
+    """The error names the file and what is wrong with it."""
+    change, refusal = ATTACKS[attack]
+    change(registry.root / NAME / "1" / file)
+    with pytest.raises(BrokenModelError, match=rf"{file}: {refusal}"):
+        registry.read(NAME, 1)
+
+
+@pytest.mark.parametrize(
+    ("file", "limit"), list(zip(FILES, (MAX_MANIFEST_BYTES, MAX_MODEL_BYTES, MAX_CARD_BYTES), strict=True))
+)
+def test_sizes_are_bounded_by_name_before_anything_is_read(registry: Registry, file: str, limit: int) -> None:
+    """One byte over the limit is refused with the limit; not a byte of it is read."""
+    path = registry.root / NAME / "1" / file
+    with path.open("r+b") as opened:
+        opened.truncate(limit + 1)
+    with pytest.raises(BrokenModelError, match=f"{file}: more than {limit} bytes"):
+        registry.read(NAME, 1)
+
+
+@pytest.mark.parametrize("attack", ["symlink", "hard link", "pipe", "device", "folder", "huge"])
+def test_an_alias_that_is_not_a_plain_file_is_no_alias(registry: Registry, attack: str) -> None:
+    """It names nothing, and listing does not hang."""
+    path = registry.root / NAME / "aliases" / "champion"
+    ATTACKS[attack][0](path)
+    assert registry.aliases(NAME) == {}
+
+
+@pytest.mark.parametrize("attack", ["symlink", "hard link", "pipe", "device", "folder"])
+def test_a_history_that_is_not_a_plain_file_is_neither_read_nor_written(registry: Registry, attack: str) -> None:
+    """A link on it could make a publisher write to any file of its user."""
+    path = registry.root / NAME / "history.jsonl"
+    victim = registry.root.parent / "victim"
+    victim.write_bytes(path.read_bytes())
+    if attack == "symlink":
+        path.unlink()
+        path.symlink_to(victim)
+    elif attack == "hard link":
+        path.unlink()
+        os.link(victim, path)
+    else:
+        ATTACKS[attack][0](path)
+    before = victim.read_bytes()
+    with pytest.raises(CazslError):
+        registry.history(NAME)
+    with pytest.raises(CazslError):
+        publish_fake(registry, alias=None)
+    assert victim.read_bytes() == before
+    assert registry.versions(NAME) == [1]
+
+
+@pytest.mark.parametrize("what", ["", "1", "aliases"])
+def test_a_folder_that_is_a_link_is_not_followed(registry: Registry, what: str) -> None:
+    """Model, version or aliases: the real path must lie inside the registry, step by step."""
+    path = registry.root / NAME / what
+    outside = registry.root.parent / "outside"
+    path.rename(outside)
+    path.symlink_to(outside)
+    with pytest.raises(RegistryError):
+        registry.read(NAME, registry.aliases(NAME)["champion"] if what != "aliases" else registry.aliases(NAME)["x"])
+
+
+def test_a_linked_model_is_not_listed(registry: Registry) -> None:
+    """A name that leads out of the registry is none of its models."""
+    (registry.root / "push-none").symlink_to(registry.root / NAME)
+    assert registry.names() == [NAME]
+
+
+def test_publishing_through_a_linked_model_is_refused(registry: Registry, tmp_path: Path) -> None:
+    """Nothing is written outside of the registry."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (registry.root / "push-none").symlink_to(outside)
+    with pytest.raises(CazslError):
+        publish_fake(registry, "push-none")
+    assert list(outside.iterdir()) == []
+
+
+def test_signing_through_a_link_is_refused(registry: Registry, tmp_path: Path) -> None:
+    """Nor is anything else written there."""
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (registry.root / NAME / "signatures").symlink_to(outside)
+    with pytest.raises(CazslError):
+        registry.sign(NAME, 1, b"x")
+    assert list(outside.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["..", ".", "a/b", "/etc", "", "UPPER", "x" * 65, "a\x00b", "a\n", "é", "a b", "-a"])
+def test_names_are_taken_from_an_allow_list(registry: Registry, name: str) -> None:
+    """Whatever is asked of the registry, such a name reaches no file system."""
+    for ask in (
+        lambda: registry.versions(name),
+        lambda: registry.read(name, 1),
+        lambda: registry.point_alias(NAME, name, 1),
+        lambda: registry.point_alias(name, "champion", 1),
+        lambda: registry.remove(name, 1),
+        lambda: registry.history(name),
+    ):
+        with pytest.raises(RegistryError, match="lower-case"):
+            ask()
+
+
+@pytest.mark.parametrize("extra", ["extra.bin", "model.onnx.data", ".hidden", "weights"])
+def test_no_file_lies_beside_those_of_the_manifest(registry: Registry, extra: str) -> None:
+    """What the manifest does not vouch for does not belong."""
+    (registry.root / NAME / "1" / extra).write_bytes(b"")
+    with pytest.raises(BrokenModelError, match="not in the manifest"):
+        registry.read(NAME, 1)
+
+
+@pytest.mark.parametrize("file", FILES)
+def test_no_file_is_missing(registry: Registry, file: str) -> None:
+    """The error names the one that is."""
+    (registry.root / NAME / "1" / file).unlink()
+    with pytest.raises(BrokenModelError, match=f"{file}: No such file"):
+        registry.read(NAME, 1)
