@@ -61,7 +61,6 @@ Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 _WEIGHT_BITS: Final = 18  # 16 bits of level and twice 18 of weight: every sum is a whole number below 2**53, so exact
 _GAUSSIAN_REACH: Final = 4.0  # standard deviations, as in scipy's filter
-_STRIP_ROWS: Final = 256
 _THUMBNAIL_SCALE: Final = 8
 
 _LEAST_CONTRAST: Final = 0.15  # between the mean levels of object and background
@@ -134,12 +133,10 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
 def visual_context(image: GreyImage) -> VisualContext:
     """The 32 x 32 levels that a model sees, by ``IMAGE_CONVENTION``; equal to scikit-image's resize within rounding."""
     square = _middle_square(image.levels)
-    side = len(square)
-    weights = _resize_weights(side)
-    total = np.zeros((VISUAL_SIZE, VISUAL_SIZE))
-    for top in range(0, side, _STRIP_ROWS):  # a strip at a time bounds the memory
-        strip = slice(top, top + _STRIP_ROWS)
-        total += weights[:, strip] @ (square[strip].astype(np.float64) @ weights.T)
+    windows = _resize_windows(len(square))
+    # einsum rather than a matrix product: BLAS would wake its threads for a millisecond's work
+    rows = np.stack([np.einsum("i,ij->j", weights, square[window]) for window, weights in windows])
+    total = np.stack([np.einsum("ij,j->i", rows[:, window], weights) for window, weights in windows], axis=1)
     one = image.full_scale << 2 * _WEIGHT_BITS
     rounded = (total.astype(np.int64) * (2 * 255) + one) // (2 * one)
     return VisualContext.from_bytes(rounded.astype(np.uint8).tobytes())
@@ -207,23 +204,27 @@ def _middle_square(levels: Levels) -> Levels:
 
 
 @lru_cache(maxsize=8)
-def _resize_weights(side: int) -> npt.NDArray[np.float64]:
-    """What each of the 32 rows takes of each pixel row, (32, side), in whole units of 2**-18 that sum to one."""
+def _resize_windows(side: int) -> tuple[tuple[slice, npt.NDArray[np.float64]], ...]:
+    """Which pixels each of the 32 cells along an axis takes, and how much of each: units of 2**-18 that sum to one."""
     factor = side / VISUAL_SIZE
     sigma = max(0.0, (factor - 1.0) / 2.0)
     reach = int(_GAUSSIAN_REACH * sigma + 0.5)
     steps = np.arange(-reach, reach + 1)
     kernel = np.array([math.exp(-0.5 * (step / sigma) ** 2) if step else 1.0 for step in steps])
-    weights = np.zeros((VISUAL_SIZE, side))
-    for row in range(VISUAL_SIZE):
-        centre = (row + 0.5) * factor - 0.5
-        pixel = math.floor(centre)
-        for near, share in ((pixel, pixel + 1 - centre), (pixel + 1, centre - pixel)):
-            np.add.at(weights[row], _mirrored(near + steps, side), share * kernel / kernel.sum())
     unit = 1 << _WEIGHT_BITS
-    weights = np.rint(weights * unit)
-    weights[np.arange(VISUAL_SIZE), weights.argmax(axis=1)] += unit - weights.sum(axis=1)
-    return weights
+    windows = []
+    for cell in range(VISUAL_SIZE):
+        centre = (cell + 0.5) * factor - 0.5
+        pixel = math.floor(centre)
+        weights = np.zeros(side)
+        for near, share in ((pixel, pixel + 1 - centre), (pixel + 1, centre - pixel)):
+            np.add.at(weights, _mirrored(near + steps, side), share * kernel / kernel.sum())
+        weights = np.rint(weights * unit)
+        weights[weights.argmax()] += unit - weights.sum()
+        used = np.flatnonzero(weights)
+        window = slice(int(used[0]), int(used[-1]) + 1)
+        windows.append((window, weights[window].copy()))
+    return tuple(windows)
 
 
 def _mirrored(index: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.int64]:

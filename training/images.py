@@ -38,6 +38,7 @@ UNKNOWN_CONVENTION: Final = (
     "Top-down views of undeclared origin (481 x 481, as Omnipush publishes them): field of view, orientation and "
     "intensities are not stated with the files; reduced to 32 x 32 as the paper does."
 )
+UNKNOWN_SOURCE: Final = "top-down views of undeclared origin"
 _MAX_FILE_BYTES: Final = VIEW_PIXELS**2 * 8 + 4096  # float64 and a header
 _REFERENCE_OBJECT: Final = "1a2C3b4a"  # every shape and both weights
 
@@ -109,19 +110,32 @@ def convention_of(folder: Path) -> str:
     Raises:
         DataError: the folder's declaration says nothing of its pictures.
     """
+    return _declared(folder, "image_convention", UNKNOWN_CONVENTION)
+
+
+def source_of(folder: Path) -> str:
+    """Where the pictures of a folder come from, for every table, card and manifest made with them.
+
+    Raises:
+        DataError: the folder's declaration does not say.
+    """
+    return _declared(folder, "source", UNKNOWN_SOURCE)
+
+
+def _declared(folder: Path, key: str, otherwise: str) -> str:
     path = folder / data.DATASET_FILE
     if not path.is_file():
-        return UNKNOWN_CONVENTION
+        return otherwise
     try:
-        return str(json.loads(path.read_text(encoding="utf-8"))["image_convention"])
+        return str(json.loads(path.read_text(encoding="utf-8"))[key])
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path} declares no pictures (key 'image_convention'); name a folder of views") from error
+        raise DataError(f"{path} says nothing of pictures (key '{key}'); name a folder of views") from error
 
 
 def _declaration(camera: bool, seed: int) -> dict[str, Any]:
     reference = top_down_view(ObjectContext.from_descriptor(_REFERENCE_OBJECT))
     return {
-        "source": f"simulated top-down views (camera, seed {seed})" if camera else "drawn top-down views",
+        "source": f"simulated top-down views (camera, seed {seed})" if camera else "simulated top-down views",
         "simulated": True,
         "camera": camera,
         "seed": seed if camera else None,

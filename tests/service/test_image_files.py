@@ -14,7 +14,7 @@ from PIL import Image
 from service.errors import ImageTooLargeError, InvalidImageError, RequestError
 from service.image_files import ImageLimits, exif_orientation, read_image_file
 from service.images import decode
-from tests.attacks.images import COSTLY_METADATA, HOSTILE, jpeg_with, picture, png_with
+from tests.attacks.images import COSTLY_METADATA, HOSTILE, jpeg_with, picture, png_with, webp_canvas
 
 FORMATS = ("PNG", "JPEG", "WEBP")
 
@@ -146,3 +146,15 @@ def test_a_webp_of_odd_length_is_read() -> None:
     decode(content)
     with pytest.raises(InvalidImageError):
         decode(content + b"\0")
+
+
+def test_an_extended_webp_is_judged_by_its_header_and_passed_on_without_its_flags() -> None:
+    """A canvas of another size and a claim to move are refused unseen; flags of dropped chunks are dropped."""
+    content = webp_canvas(64, 64)
+    flags = content.index(b"VP8X") + 8
+    with pytest.raises(InvalidImageError, match="canvas"):
+        read_image_file(webp_canvas(64, 65), ImageLimits(), "image")
+    with pytest.raises(InvalidImageError, match="animation"):
+        read_image_file(content[:flags] + b"\x02" + content[flags + 1 :], ImageLimits(), "image")
+    described = content[:flags] + b"\x3c" + content[flags + 1 :]  # profile, alpha, EXIF, XMP
+    assert read_image_file(described, ImageLimits(), "image").content[flags] == 0x10

@@ -156,7 +156,8 @@ def test_sixteen_bits_with_colour_or_alpha_are_read_by_their_upper_eight(colour:
 
 
 @pytest.mark.parametrize(
-    ("depth", "byte", "levels"), [(1, 0b10, [0, 0]), (2, 0b00011011, [0, 85, 170, 255]), (4, 0x5F, [85, 255])]
+    ("depth", "byte", "levels"),
+    [(1, 0b01100000, [0, 255, 255, 0]), (2, 0b00011011, [0, 85, 170, 255]), (4, 0x5F, [85, 255])],
 )
 def test_few_bits_are_spread_over_the_whole_range(depth: int, byte: int, levels: list[int]) -> None:
     """The brightest value is white, whatever the depth."""
@@ -219,6 +220,16 @@ def test_the_same_picture_in_memory_and_as_a_file_gives_the_same_bytes(height: i
         decode(encode(Image.fromarray(levels), "WEBP", lossless=True)),
     ):
         assert visual_context(same) == expected
+
+
+@pytest.mark.parametrize("side", [97, 481, 1500])
+def test_the_order_of_summing_does_not_matter(side: int) -> None:
+    """Every sum is exact, so that no processor's way of adding changes a byte."""
+    levels = np.random.default_rng(side).integers(0, 65536, (side, side), dtype=np.uint16)
+    found = visual_context(GreyImage(levels))
+    assert visual_context(GreyImage(np.asfortranarray(levels))) == found
+    turned = np.ascontiguousarray(np.rot90(levels, 2))
+    assert cells(visual_context(GreyImage(turned)))[::-1, ::-1].tobytes() == found.levels
 
 
 def test_a_longer_side_is_cropped_to_its_middle() -> None:

@@ -17,7 +17,15 @@ from service.contract import ObjectContext
 from service.errors import DataError
 from service.images import FIELD_OF_VIEW_M, IMAGE_CONVENTION, GreyImage, decode, quality_flags, visual_context
 from training.data import omnipush_descriptors
-from training.images import PIXEL_M, UNKNOWN_CONVENTION, convention_of, read_views, top_down_view, write_views
+from training.images import (
+    PIXEL_M,
+    UNKNOWN_CONVENTION,
+    convention_of,
+    read_views,
+    source_of,
+    top_down_view,
+    write_views,
+)
 from training.objects import RECTANGLE_DEPTH_M, WEIGHT_RADIUS_M, solid
 
 BACKGROUND, BODY, LIGHT_WEIGHT, HEAVY_WEIGHT = 0, 128, 179, 255  # of 255: 0, 0.5, 0.7, 1
@@ -179,14 +187,18 @@ def test_a_folder_holds_views_of_one_kind(tmp_path: Path) -> None:
 
 
 def test_a_folder_says_how_its_pictures_were_taken(tmp_path: Path) -> None:
-    """Ours by our convention, anybody else's are not claimed to be."""
+    """Ours by our convention and as simulated, anybody else's are not claimed to be; the camera's seed is named."""
     write_views(tmp_path / "ours", (), quiet=True)
     (tmp_path / "theirs").mkdir()
     (tmp_path / "pushes").mkdir()
     (tmp_path / "pushes" / "dataset.json").write_text('{"source": "pushes"}', encoding="utf-8")
     assert convention_of(tmp_path / "ours") == IMAGE_CONVENTION
     assert convention_of(tmp_path / "theirs") == UNKNOWN_CONVENTION
-    with pytest.raises(DataError, match=r"dataset\.json declares no pictures"):
+    assert source_of(tmp_path / "theirs") == "top-down views of undeclared origin"
+    write_views(tmp_path / "camera", (), camera=True, seed=7, quiet=True)
+    assert source_of(tmp_path / "ours") == "simulated top-down views"
+    assert source_of(tmp_path / "camera") == "simulated top-down views (camera, seed 7)"
+    with pytest.raises(DataError, match=r"dataset\.json says nothing of pictures \(key 'image_convention'\)"):
         convention_of(tmp_path / "pushes")
 
 
