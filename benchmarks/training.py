@@ -6,7 +6,7 @@ FCN + CM with the indicator context, at the paper's configuration: 200 objects x
 0.002. The literal loop repeats each context for each of its 250 pushes and masks every push, takes its batches from a
 data loader, and passes over the 50 test objects after each epoch; it runs in a process of its own, since the trainer's
 allocator settings are a process's. Loops take turns, epoch by epoch, so that they share whatever else the machine does,
-and each is measured on the test objects after the same number of epochs.
+and each is measured on the test objects after the same epochs: the mean over the last ten, since single ones scatter.
 
     python -m benchmarks.training --methods [--epochs 20]
 
@@ -18,7 +18,7 @@ import math
 import multiprocessing
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -38,6 +38,7 @@ from training.recipes import Recipe
 from training.samples import Samples, TrainingData
 
 OBJECTS, PUSHES, BATCH = 200, 250, 64
+MEASURED_EPOCHS = 10
 RECIPE = Recipe("push", "FCN + CM", "indicator", "different-objects", 1, BATCH, 0.002, 0, 0.01, 10.0, "auto", 0)
 
 
@@ -106,14 +107,17 @@ class OurEpochs:
         self.done += 1
 
 
-def take_turns(loops: dict[str, Callable[[], object]], epochs: int) -> dict[str, list[float]]:
-    """Seconds of every epoch but the first, which warms up."""
+def take_turns(
+    loops: Mapping[str, Callable[[], object]], epochs: int, after: Callable[[int], None] = lambda epoch: None
+) -> dict[str, list[float]]:
+    """Seconds of every epoch but the first, which warms up; ``after`` each round, untimed."""
     seconds: dict[str, list[float]] = {name: [] for name in loops}
-    for _ in range(epochs):
+    for epoch in range(epochs):
         for name, step in loops.items():
             started = time.perf_counter()
             step()
             seconds[name].append(time.perf_counter() - started)
+        after(epoch)
     return {name: times[1:] for name, times in seconds.items()}
 
 
@@ -154,18 +158,26 @@ def compare(folder: Path, data: TrainingData, epochs: int) -> None:
         f"ours, {precision}": OurEpochs(replace(RECIPE, precision=precision), data.train)
         for precision in ("float32", "bfloat16")
     }
-    seconds = take_turns({"literal": literal.step, **{name: loop.step for name, loop in ours.items()}}, epochs)
-    figures = {"literal": literal.figures}
+    figures: dict[str, list[tuple[float, float]]] = {name: [] for name in ("literal", *ours)}
+
+    def look(epoch: int) -> None:
+        """Measure the last epochs."""
+        if epoch >= epochs - MEASURED_EPOCHS:
+            figures["literal"].append(literal.figures)
+            for name, loop in ours.items():
+                found = evaluate(loop.network, data.held_out)
+                figures[name].append((found.rmse, found.nll))
+
+    steps = {"literal": literal.step, **{name: loop.step for name, loop in ours.items()}}
+    seconds = take_turns(steps, epochs, look)
     literal.close()
-    for name, loop in ours.items():
-        found = evaluate(loop.network, data.held_out)
-        figures[name] = (found.rmse, found.nll)
     slow = statistics.median(seconds["literal"])
     print(f"FCN + CM, indicator, {epochs} epochs of each, by turns; this machine's default: {_default()}")
     print("| loop | median s/epoch | fastest | times faster | held-out RMSE | NLL |")
     print("|---|---|---|---|---|---|")
     for name, times in seconds.items():
-        median, (rmse, nll) = statistics.median(times), figures[name]
+        median = statistics.median(times)
+        rmse, nll = (statistics.fmean(values) for values in zip(*figures[name], strict=True))
         print(f"| {name} | {median:.3f} | {min(times):.3f} | {slow / median:.1f} | {rmse:.3f} | {nll:.2f} |")
 
 
