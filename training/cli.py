@@ -10,7 +10,7 @@ import click
 import service
 from service.contract import ContextKind
 from service.manifest import DEFAULT_ALIAS, is_alias
-from service.registry import Registry
+from service.registry import NOWHERE, Registry
 from training import export, fit, images, recipes, reproduction, simulate
 from training.command_errors import mend
 from training.data import different_surfaces, omnipush_descriptors, published_normalisation, read_folder
@@ -177,11 +177,17 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
 @data_option
 @views_option
 @registry_option
-@click.option("--alias", default=DEFAULT_ALIAS, show_default=True, help="Point this alias at the new version.")
-@click.option("--no-alias", is_flag=True, help="Publish only; whoever asks for the alias gets what they got before.")
+@click.option(
+    "--alias", default=DEFAULT_ALIAS, show_default=True, help="Point this alias here if it names nothing yet."
+)
+@click.option("--no-alias", is_flag=True, help="Publish only, even as the first version.")
 @mend
 def publish(run: Path, folder: Path, views: Path | None, registry: Path, alias: str, no_alias: bool) -> None:
-    """Publish a finished RUN as the next version of its model; a running service picks it up by itself."""
+    """Publish a finished RUN as the next version of its model; a running service picks it up by itself.
+
+    A first version becomes the champion. Later ones are served by their number, and an alias that already serves is
+    moved by cazsl models promote, which compares the two first.
+    """
     recipe, network, trained_on = fit.load_run(run)
     pushes = read_pushes(folder, recipe.context_kind, views)
     if not is_alias(alias):
@@ -195,9 +201,11 @@ def publish(run: Path, folder: Path, views: Path | None, registry: Path, alias: 
     convention = images.convention_of(views or views_beside(folder)) if visual else None
     manifest = export.publish(recipe, network, pushes, store, convention)
     click.echo(f"published {manifest.name}@{manifest.version} in {registry}")
-    if not no_alias:
-        store.point_alias(manifest.name, alias, manifest.version)
-        click.echo(f"{manifest.name}@{alias} is version {manifest.version} now")
+    if no_alias or alias in store.aliases(manifest.name):
+        click.echo(f"next: cazsl models promote {manifest.name} {manifest.version} --alias {alias}")
+        return
+    store.point_alias(manifest.name, alias, manifest.version, expect=NOWHERE)
+    click.echo(f"{manifest.name}@{alias} is version {manifest.version} now")
     click.echo(f"next: cazsl models show {manifest.name}@{manifest.version}")
 
 

@@ -187,10 +187,10 @@ def test_an_unfinished_run_is_named(data_folder: Path, indicator_run: Path, tmp_
 
 
 def test_publish_makes_a_version_and_its_champion(data_folder: Path, none_run: Path, tmp_path: Path) -> None:
-    """It prints what was published and how to look at it; without alias only the version appears."""
+    """The first version serves at once; what serves is replaced by a promotion, which the last line names."""
     registry = Registry(tmp_path / "models")
     first = cazsl_train("publish", none_run, "--data", data_folder, "--registry", registry.root)
-    second = cazsl_train("publish", none_run, "--data", data_folder, "--registry", registry.root, "--no-alias")
+    second = cazsl_train("publish", none_run, "--data", data_folder, "--registry", registry.root)
 
     assert (first.exit_code, second.exit_code) == (0, 0)
     assert first.stdout.splitlines() == [
@@ -200,10 +200,22 @@ def test_publish_makes_a_version_and_its_champion(data_folder: Path, none_run: P
     ]
     assert second.stdout.splitlines() == [
         f"published push-none@2 in {registry.root}",
-        "next: cazsl models show push-none@2",
+        "next: cazsl models promote push-none 2 --alias champion",
     ]
     assert registry.versions("push-none") == [1, 2]
     assert registry.aliases("push-none") == {"champion": 1}
+
+
+def test_publish_without_an_alias_leaves_even_a_first_version_unnamed(
+    data_folder: Path, none_run: Path, tmp_path: Path
+) -> None:
+    """It is served by its number only."""
+    registry = Registry(tmp_path / "models")
+    result = cazsl_train("publish", none_run, "--data", data_folder, "--registry", registry.root, "--no-alias")
+
+    assert result.exit_code == 0
+    assert registry.versions("push-none") == [1]
+    assert registry.aliases("push-none") == {}
 
 
 def test_publish_with_other_data_is_refused(data_folder: Path, none_run: Path, tmp_path: Path) -> None:
