@@ -25,7 +25,8 @@ from pathlib import Path
 import uvicorn
 from fastapi import FastAPI
 
-from service.schemas import PredictRequest, PredictResponse
+from service.requests import PredictRequest
+from service.schemas import PredictResponse
 
 ROOT = Path(__file__).resolve().parent.parent
 BODY = '{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'

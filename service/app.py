@@ -6,16 +6,21 @@ import logging
 from collections.abc import AsyncIterator
 from typing import Any
 
-from fastapi import FastAPI
+from fastapi import Depends, FastAPI
 from starlette.types import Receive, Scope, Send
 
 import service
+from service import open_inference, routes
+from service.access import may_predict
 from service.errors import CazslError
+from service.fast_path import FastPath
+from service.intake import Intake, IntakeLimits
+from service.keys import Keys
 from service.loaded_models import LoadedModels
-from service.problems import BodyLimit, install_problem_handlers, problem_response, state_media_type
-from service.routes import router
+from service.problems import install_problem_handlers, problem_response, state_media_type
 from service.settings import Settings
 from service.telemetry import RequestTelemetry
+from service.workers import Workers, processors
 
 logger = logging.getLogger(__name__)
 
@@ -33,11 +38,13 @@ class Service(FastAPI):
 
     def openapi(self) -> dict[str, Any]:
         """The document, made once."""
-        return state_media_type(super().openapi())
+        return open_inference.describe_infer(state_media_type(super().openapi()))
 
 
 def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
     """The service over these models."""
+    workers = Workers(processors(), settings.max_waiting, settings.deadline_s)
+    keys = Keys(settings.keys)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
@@ -48,6 +55,7 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
         poll.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await poll
+        workers.close()
 
     app = Service(
         title="CAZSL",
@@ -56,13 +64,31 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
         lifespan=lifespan,
         redirect_slashes=False,  # a redirect would name the host that the request claimed
     )
-    app.state.settings = settings
     app.state.models = models
-    app.include_router(router)
+    app.state.max_body_bytes = settings.max_body_bytes
+    app.state.workers = workers
+    app.state.keys = keys
+    guard = [Depends(may_predict)] if keys.wanted else []
+    app.include_router(routes.health)
+    app.include_router(routes.router, dependencies=guard)
+    app.include_router(open_inference.health)
+    app.include_router(open_inference.router, dependencies=guard)
     install_problem_handlers(app)
-    app.add_middleware(BodyLimit, max_body_size=settings.max_body_bytes)
+    # from the inside out: each ring sees a request before those above it here
+    app.add_middleware(FastPath, models=models, workers=workers, keys=keys)
+    app.add_middleware(Intake, limits=_limits(settings))
     app.add_middleware(RequestTelemetry, internal_error=_internal_error)
     return app
+
+
+def _limits(settings: Settings) -> IntakeLimits:
+    return IntakeLimits(
+        body_bytes=settings.max_body_bytes,
+        body_s=settings.body_timeout_s,
+        in_flight=settings.max_in_flight,
+        in_flight_per_caller=settings.max_in_flight_per_caller,
+        held_bytes=settings.max_held_bytes,
+    )
 
 
 async def _poll(models: LoadedModels, interval_s: float) -> None:

@@ -14,12 +14,15 @@ import uvicorn
 
 import service
 from service.app import create_app
+from service.contract import ContextKind
 from service.errors import CazslError
-from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, context_kind_of, load_version
+from service.keys import Grant, Scope
+from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, load_version
 from service.manifest import ModelReference
+from service.predictions import predict_with
 from service.predictor import OnnxPredictor
 from service.registry import Registry
-from service.schemas import ContextBody, PredictRequest, PredictResponse, PusherBody
+from service.requests import ContextBody, PredictRequest, PusherBody
 from service.settings import Settings
 from service.telemetry import configure_logging
 
@@ -145,6 +148,34 @@ def verify(reference: str | None, registry: Path) -> None:
         sys.exit(1)
 
 
+@main.group()
+def keys() -> None:
+    """API keys, for a service that is started with CAZSL_KEYS."""
+
+
+@keys.command("new")
+@click.argument("name")
+@click.option(
+    "--scope",
+    "scopes",
+    type=click.Choice([scope.value for scope in Scope]),
+    multiple=True,
+    default=[Scope.PREDICT.value],
+    show_default=True,
+    help="What it covers; may be given more than once.",
+)
+@mend
+def new_key(name: str, scopes: tuple[str, ...]) -> None:
+    """Make a key for NAME: the line for the file of keys on standard output, the key itself on standard error, once.
+
+    \b
+    cazsl keys new robot-7 >> /etc/cazsl/keys
+    """
+    grant, key = Grant.new(name, frozenset(Scope(scope) for scope in scopes))
+    click.echo(grant.line())
+    click.echo(f"the key, shown this once: {key}", err=True)
+
+
 @main.command()
 @click.argument("descriptor", required=False)
 @click.argument("pose", nargs=3, type=float, metavar="X_M Y_M ANGLE_RAD")
@@ -165,11 +196,9 @@ def predict(descriptor: str | None, pose: tuple[float, float, float], reference:
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
-    push, thing = request.push(), request.object_context()
-    model = _load(registry, reference or DEFAULT_MODELS[context_kind_of(thing)])
-    gaussian = model.predict_push(push, thing)
-    answer = PredictResponse.of(model.manifest.name, model.manifest.version, gaussian)
-    click.echo(answer.model_dump_json(indent=2))
+    kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
+    answer = predict_with(_load(registry, reference or DEFAULT_MODELS[kind]), request)
+    click.echo(json.dumps(json.loads(answer.content), indent=2))
 
 
 def _load(registry: Path, reference: str) -> LoadedModel:

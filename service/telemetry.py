@@ -1,20 +1,24 @@
 """Logs as JSON lines, and a request id on every request: taken from ``X-Request-ID`` or made, returned, logged."""
 
+import itertools
 import logging
 import re
 import time
 import uuid
 from collections.abc import Awaitable, Callable
+from datetime import UTC, datetime
 from logging.config import dictConfig
 from typing import Final
 
+import orjson
 from pythonjsonlogger.core import RESERVED_ATTRS
 from pythonjsonlogger.json import JsonFormatter
-from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-REQUEST_ID_HEADER: Final = "X-Request-ID"
-_SAFE_ID = re.compile(r"[A-Za-z0-9._-]{1,64}")
+_ID_HEADER: Final = b"x-request-id"
+_SAFE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
+_REQUEST: Final = "request"
+_FIELDS: Final = ("request_id", "method", "route", "status", "duration_ms", "model", "version", "pushes")
 _QUIET_ROUTES: Final = frozenset({"/livez", "/readyz"})
 
 logger = logging.getLogger(__name__)
@@ -29,7 +33,7 @@ def configure_logging(level: str) -> None:
             "disable_existing_loggers": False,
             "formatters": {
                 "json": {
-                    "()": JsonFormatter,
+                    "()": JsonLines,
                     "format": "{levelname}{name}{message}",
                     "style": "{",
                     "timestamp": "time",
@@ -43,6 +47,20 @@ def configure_logging(level: str) -> None:
     )
 
 
+class JsonLines(JsonFormatter):
+    """One JSON object a line. The line of a request, which is most of them, is made without the general machinery."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line of a record."""
+        if record.msg is not _REQUEST:
+            return str(super().format(record))
+        fields = vars(record)
+        line = {name: fields[name] for name in _FIELDS if name in fields}
+        made = datetime.fromtimestamp(record.created, UTC).isoformat()
+        head = {"level": record.levelname, "logger": record.name, "message": record.msg, "time": made}
+        return orjson.dumps({**head, **line}, default=str).decode()
+
+
 def request_id_of(scope: Scope) -> str:
     """The id of the request being answered."""
     return str(scope.get("state", {}).get("request_id", ""))
@@ -54,23 +72,26 @@ class RequestTelemetry:
     def __init__(self, app: ASGIApp, internal_error: InternalError) -> None:
         self.app = app
         self._internal_error = internal_error
+        self._process = uuid.uuid4().hex[:20]
+        self._count = itertools.count()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
         if scope["type"] != "http":
             await self.app(scope, receive, send)
             return
-        given = Headers(scope=scope).get(REQUEST_ID_HEADER, "")
-        request_id = given if _SAFE_ID.fullmatch(given) else uuid.uuid4().hex
-        scope.setdefault("state", {})["request_id"] = request_id
         started = time.perf_counter()
+        request_id = self._id_of(scope)
+        state = scope.setdefault("state", {})
+        state["request_id"] = request_id
+        header = (_ID_HEADER, request_id.encode())
         status = 0
 
         async def send_with_id(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
-                MutableHeaders(scope=message)[REQUEST_ID_HEADER] = request_id
+                message = {**message, "headers": [*message.get("headers", ()), header]}
             await send(message)
 
         try:
@@ -83,9 +104,16 @@ class RequestTelemetry:
         finally:
             self._log(scope, status, (time.perf_counter() - started) * 1000.0, request_id)
 
+    def _id_of(self, scope: Scope) -> str:
+        """The caller's id when it is safe to log, else one of our own: random for the process, counted within it."""
+        for name, value in scope["headers"]:
+            if name == _ID_HEADER and _SAFE_ID.fullmatch(value):
+                return str(value, "ascii")
+        return f"{self._process}{next(self._count):012x}"
+
     def _log(self, scope: Scope, status: int, duration_ms: float, request_id: str) -> None:
-        route = scope.get("route")
-        template = str(getattr(route, "path", "unknown"))
+        noted = scope["state"].get("log", {})
+        template = noted.get("route") or str(getattr(scope.get("route"), "path", "unknown"))
         level = logging.DEBUG if template in _QUIET_ROUTES else logging.INFO
         if not logger.isEnabledFor(level):
             return
@@ -95,6 +123,6 @@ class RequestTelemetry:
             "route": template,
             "status": status,
             "duration_ms": round(duration_ms, 3),
-            **scope["state"].get("log", {}),
+            **noted,
         }
-        logger.log(level, "request", extra=line)
+        logger.log(level, _REQUEST, extra=line)
