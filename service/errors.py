@@ -3,15 +3,18 @@
     CazslError
     ├── RequestError                   400  the caller sent something that cannot be answered
     │   ├── InvalidRequestError        422  a field is missing, mis-shaped, not finite or not allowed
-    │   ├── ContextKindError           422  the model wants another kind of object context
-    │   ├── MalformedBodyError         400  the body is not what it is declared to be: JSON, multipart, tensors
+    │   │   ├── ContextKindError       422  the model wants another kind of object context
+    │   │   └── InvalidImageError      422  a picture is broken, cut off, animated, or more than a picture
+    │   ├── MalformedBodyError         400  the body is not what it is declared to be: JSON, a form, tensors
     │   ├── MissingKeyError            401  an API key is needed and none, or an unknown one, came
     │   ├── ForbiddenError             403  the key does not cover this
     │   ├── UnknownModelError          404  no such model, version or alias
     │   ├── NotAcceptableError         406  the caller wants an answer in a form that we do not speak
     │   ├── SlowBodyError              408  the body did not arrive in time
     │   ├── BodyTooLargeError          413  the body is over the limit
+    │   ├── ImageTooLargeError         413  a picture has too many bytes or pixels
     │   ├── UnsupportedMediaTypeError  415  the body is sent as something that we do not read
+    │   ├── UnsupportedImageError      415  a picture is none of PNG, JPEG and WebP
     │   └── TooManyRequestsError       429  one caller has too many requests in flight
     ├── UnavailableError               503  come again later
     │   ├── ModelNotReadyError         503  the model exists but cannot serve now
@@ -71,6 +74,13 @@ class InvalidRequestError(RequestError):
     def __init__(self, faults: Sequence[FieldFault]) -> None:
         self.faults = tuple(faults)
         super().__init__("; ".join(str(fault) for fault in self.faults))
+
+
+class InvalidImageError(InvalidRequestError):
+    """A picture is broken, cut off, animated, or has something behind its end."""
+
+    code = "invalid_image"
+    title = "The picture cannot be used"
 
 
 class MalformedBodyError(RequestError):
@@ -149,12 +159,31 @@ class BodyTooLargeError(RequestError):
         super().__init__(f"body: received more than {limit_bytes} bytes; accepted is up to {limit_bytes} bytes")
 
 
+class ImageTooLargeError(RequestError):
+    """A picture has more bytes, pixels or pixels on a side than is taken; told before anything is decoded."""
+
+    code = "image_too_large"
+    status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+    title = "The picture is too large"
+
+    def __init__(self, where: str, received: str, accepted: str) -> None:
+        super().__init__(str(FieldFault(where, received, accepted)))
+
+
 class UnsupportedMediaTypeError(RequestError):
     """The body is declared as something that this route does not read, or is compressed."""
 
     code = "unsupported_media_type"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
     title = "The body is sent as something else"
+
+
+class UnsupportedImageError(RequestError):
+    """A picture is of another format than PNG, JPEG and WebP, or of a variety of these that nobody sends."""
+
+    code = "unsupported_image"
+    status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
+    title = "The picture is of another format"
 
 
 class UnknownModelError(RequestError):

@@ -1,6 +1,7 @@
 """``cazsl-train``: simulate pushes, fit a recipe, evaluate it, publish it."""
 
 import functools
+import hashlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final, ParamSpec
@@ -12,12 +13,14 @@ import service
 from service.errors import CazslError
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import Registry
-from training import export, fit, recipes, simulate
+from training import export, fit, images, recipes, simulate
 from training.data import omnipush_descriptors, read_folder
 from training.evaluate import Evaluation, NormalisedPushes
 from training.evaluate import evaluate as evaluate_network
 
 DEFAULT_DATA: Final = Path("data/simulated/abs")
+DEFAULT_VIEWS: Final = Path("data/simulated/top-down_view")
+DEFAULT_CAMERA_VIEWS: Final = Path("data/simulated/top-down_view-camera")
 RUNS: Final = Path("runs")
 P = ParamSpec("P")
 
@@ -29,6 +32,7 @@ def main() -> None:
 
     \b
     cazsl-train simulate                        62,500 pushes of 250 objects into data/simulated/abs
+    cazsl-train images                          their top-down views into data/simulated/top-down_view
     cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
@@ -86,6 +90,37 @@ def simulate_pushes(folder: Path, pushes: int, seed: int, threads: int | None) -
     for quantity, mean, mean_0, std, std_0 in simulate.likeness(found):
         click.echo(f"{quantity:18}{mean:10.5f}{mean_0:11.5f}{std:10.5f}{std_0:11.5f}{std / std_0:7.3f}")
     click.echo("next: cazsl-train fit push-indicator")
+
+
+@main.command("images")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), required=False)
+@click.option("--camera", is_flag=True, help="As a camera would see them: light, table, blur, noise, JPEG.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that --camera adds.")
+@click.option(
+    "--gallery",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Only draw this PNG: some objects as drawn, as a camera sees them, and as a model does.",
+)
+@mend
+def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
+    """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
+
+    FOLDER is data/simulated/top-down_view, with --camera data/simulated/top-down_view-camera, unless named. Views that
+    are already there stay; the files depend on object and seed alone.
+    """
+    if gallery is not None:
+        from training.image_gallery import draw_gallery  # matplotlib is slow to load, and no other command needs it
+
+        draw_gallery(gallery, seed=seed)
+        click.echo(f"{gallery} shows clean views, camera views, and the 32 x 32 that a model sees")
+        return
+    folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
+    descriptors = omnipush_descriptors()
+    images.write_views(folder, descriptors, camera, seed)
+    seen = images.read_views(folder, descriptors)
+    digest = hashlib.sha256(seen.tobytes()).hexdigest()
+    click.echo(f"{folder}: {len(seen)} views of 481 x 481; sha256 of the 32 x 32 that models see: {digest}")
+    click.echo("next: cazsl-train images --gallery views.png, and look at it")
 
 
 @main.command("fit")

@@ -150,6 +150,11 @@ def write_object(
     _write_whole(folder / (descriptor + OUTCOME_SUFFIX), _npy_bytes(outcomes))
 
 
+def write_array(path: Path, array: npt.NDArray[Any]) -> None:
+    """Write one array as a ``.npy`` file that is whole or not there."""
+    _write_whole(path, _npy_bytes(array))
+
+
 def has_object(folder: Path, descriptor: str) -> bool:
     """Whether both files of an object are there."""
     return all((folder / (descriptor + suffix)).is_file() for suffix in (PUSHER_SUFFIX, OUTCOME_SUFFIX))
@@ -235,15 +240,15 @@ def _source(folder: Path) -> str:
         ) from error
 
 
-def _npy_bytes(array: npt.NDArray[np.float64]) -> bytes:
+def _npy_bytes(array: npt.NDArray[Any]) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array, allow_pickle=False)
     return buffer.getvalue()
 
 
 def _write_whole(path: Path, content: bytes) -> None:
-    """Write beside the target, sync, rename: a reader sees the whole file or none."""
-    part = path.with_name(f".{path.name}.part")
+    """Write beside the target, sync, rename: a reader sees the whole file or none, and so does another writer."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     with part.open("wb") as file:
         file.write(content)
         file.flush()

@@ -22,6 +22,7 @@ from training.data import (
 )
 from training.evaluate import NormalisedPushes, evaluate
 from training.fit import WEIGHTS_FILE, load_run
+from training.images import write_views
 from training.recipes import Recipe
 from training.simulate import SimulationPlan
 
@@ -45,7 +46,7 @@ def test_help_lists_the_commands() -> None:
     result = cazsl_train("--help")
 
     assert result.exit_code == 0
-    for command in ("simulate", "fit", "evaluate", "publish"):
+    for command in ("simulate", "images", "fit", "evaluate", "publish"):
         assert f"\n  {command} " in result.output, command
     assert result.output.index("cazsl-train simulate") < result.output.index("cazsl-train publish")
 
@@ -199,3 +200,34 @@ def test_publish_with_other_data_is_refused(data_folder: Path, none_run: Path, t
     assert str(none_run) in line
     assert "--data" in line
     assert not (tmp_path / "models").exists()
+
+
+def test_images_draws_what_is_missing_and_says_what_models_will_see(tmp_path: Path) -> None:
+    """The folder, the number of views, and a digest that changes with any of them."""
+    names = omnipush_descriptors()
+    write_views(tmp_path, names[:1], quiet=True)
+    for name in names[2:]:  # stand-ins, so that one is left to draw
+        (tmp_path / f"shape_{name}.npy").hardlink_to(tmp_path / f"shape_{names[0]}.npy")
+
+    result = cazsl_train("images", tmp_path)
+
+    assert result.exit_code == 0
+    assert (tmp_path / f"shape_{names[1]}.npy").is_file()
+    assert "250 views of 481 x 481" in result.output
+    assert "next: cazsl-train images --gallery" in result.output
+
+
+def test_images_of_another_kind_are_not_mixed_into_a_folder(tmp_path: Path) -> None:
+    """One line that names the declaration."""
+    write_views(tmp_path, (), quiet=True)
+
+    assert "dataset.json declares another dataset" in sole_line(cazsl_train("images", tmp_path, "--camera"))
+
+
+def test_images_can_draw_a_gallery_and_nothing_else(tmp_path: Path) -> None:
+    """A PNG; no folder of views is touched."""
+    result = cazsl_train("images", tmp_path / "views", "--gallery", tmp_path / "views.png")
+
+    assert result.exit_code == 0
+    assert (tmp_path / "views.png").read_bytes().startswith(b"\x89PNG")
+    assert not (tmp_path / "views").exists()

@@ -1,0 +1,199 @@
+"""Picture files that mean harm or are merely broken, made on the spot, each with the status that it must get."""
+
+import io
+import struct
+import zlib
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Final
+
+import numpy as np
+from PIL import Image
+
+TOO_LARGE, UNSUPPORTED, INVALID = (
+    HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
+    HTTPStatus.UNSUPPORTED_MEDIA_TYPE,
+    HTTPStatus.UNPROCESSABLE_ENTITY,
+)
+PNG_START: Final = b"\x89PNG\r\n\x1a\n"
+NOISE: Final = np.random.default_rng(0).integers(0, 5, 64 * 65, dtype=np.uint8).tobytes()  # 64 rows; filters are 0 to 4
+
+
+def picture(file_format: str, side: int = 64, **options: object) -> bytes:
+    """A harmless picture of a bright square on black."""
+    levels = np.zeros((side, side), dtype=np.uint8)
+    levels[side // 4 : 3 * side // 4, side // 4 : 3 * side // 4] = 128
+    buffer = io.BytesIO()
+    Image.fromarray(levels).save(buffer, file_format, **options)
+    return buffer.getvalue()
+
+
+def animation(file_format: str) -> bytes:
+    """Two frames."""
+    frames = [Image.new("RGB", (16, 16), colour) for colour in ("red", "blue")]
+    buffer = io.BytesIO()
+    frames[0].save(buffer, file_format, save_all=True, append_images=frames[1:], duration=100)
+    return buffer.getvalue()
+
+
+def png_chunk(name: bytes, data: bytes) -> bytes:
+    """Length, name, data, checksum."""
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+
+
+def png(width: int, height: int, *chunks: bytes, depth: int = 8, colour: int = 0) -> bytes:
+    """A PNG of these chunks between header and end."""
+    header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0))
+    return PNG_START + header + b"".join(chunks) + png_chunk(b"IEND", b"")
+
+
+def png_rows(width: int, height: int) -> bytes:
+    """The chunk of black pixels, one byte each."""
+    return png_chunk(b"IDAT", zlib.compress(bytes((width + 1) * height), 9))
+
+
+def png_bomb() -> bytes:
+    """169 million pixels in 160 KiB."""
+    return png(13_000, 13_000, png_rows(13_000, 13_000))
+
+
+def png_with(name: bytes, data: bytes) -> bytes:
+    """A small PNG with one chunk more in front of the pixels."""
+    return png(64, 64, png_chunk(name, data), png_rows(64, 64))
+
+
+def png_key(depth: int, colour: int) -> bytes:
+    """A PNG that declares a colour transparent."""
+    key = png_chunk(b"tRNS", b"\0\1" * (3 if colour == 2 else 1))
+    return png(4, 1, key, png_chunk(b"IDAT", zlib.compress(bytes(1 + 4 * 6))), depth=depth, colour=colour)
+
+
+def exif_bomb() -> bytes:
+    """5,000 tags that all point to the same 60,000 bytes: 300 MB to whoever copies each."""
+    entries = 4_990
+    block = b"II*\0" + struct.pack("<IH", 8, entries)
+    block += b"".join(struct.pack("<HHII", 0x8000 + tag, 7, 59_000, 0) for tag in range(entries))
+    return block + bytes(64_000 - len(block))
+
+
+def jpeg_with(marker: int, data: bytes) -> bytes:
+    """A small JPEG with one segment more behind its start."""
+    content = picture("JPEG")
+    return content[:2] + struct.pack(">BBH", 0xFF, marker, len(data) + 2) + data + content[2:]
+
+
+def jpeg_scans() -> bytes:
+    """A JPEG whose scan is repeated a thousand times."""
+    content = picture("JPEG", progressive=True)
+    start = content.rindex(b"\xff\xda")
+    return content[:start] + content[start:-2] * 1000 + content[-2:]
+
+
+def jpeg_claiming(width: int, height: int) -> bytes:
+    """A small JPEG whose header claims another size."""
+    content = bytearray(picture("JPEG"))
+    at = content.index(b"\xff\xc0") + 5
+    content[at : at + 4] = struct.pack(">HH", height, width)
+    return bytes(content)
+
+
+def webp_claiming(width: int, height: int) -> bytes:
+    """A lossless WebP whose header claims another size."""
+    content = bytearray(picture("WEBP", lossless=True))
+    at = content.index(b"VP8L") + 9
+    content[at : at + 4] = struct.pack("<I", (width - 1) | (height - 1) << 14)
+    return bytes(content)
+
+
+def webp_canvas(width: int, height: int) -> bytes:
+    """A WebP whose extended header claims a larger canvas than its picture."""
+    frame = picture("WEBP", lossless=True)[12:]
+    sizes = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+    body = b"WEBP" + struct.pack("<4sI", b"VP8X", 10) + bytes(4) + sizes + frame
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
+def webp_riff(length: int) -> bytes:
+    """A WebP whose container claims this length."""
+    content = picture("WEBP")
+    return content[:4] + struct.pack("<I", length) + content[8:]
+
+
+def _half(content: bytes) -> bytes:
+    return content[: len(content) // 2]
+
+
+def _noisy(file_format: str, **options: object) -> bytes:
+    """A picture that does not compress: half its file is half its pixels."""
+    levels = np.random.default_rng(0).integers(0, 256, (64, 64), dtype=np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(levels).save(buffer, file_format, **options)
+    return buffer.getvalue()
+
+
+def _empty_chunks() -> bytes:
+    return png(64, 64, png_chunk(b"IDAT", b"") * 20_000, png_rows(64, 64))
+
+
+HOSTILE: Final[dict[str, tuple[Callable[[], bytes], HTTPStatus]]] = {
+    "nothing": (lambda: b"", UNSUPPORTED),
+    "text": (lambda: b"hello", UNSUPPORTED),
+    "a script in SVG": (lambda: b"<svg xmlns='http://www.w3.org/2000/svg'><script/></svg>", UNSUPPORTED),
+    "GIF": (lambda: picture("GIF"), UNSUPPORTED),
+    "BMP": (lambda: picture("BMP"), UNSUPPORTED),
+    "TIFF": (lambda: picture("TIFF"), UNSUPPORTED),
+    "PostScript": (lambda: b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", UNSUPPORTED),
+    "a JPEG of arithmetic coding": (lambda: picture("JPEG").replace(b"\xff\xc0", b"\xff\xc9", 1), UNSUPPORTED),
+    "a lossless JPEG": (lambda: picture("JPEG").replace(b"\xff\xc0", b"\xff\xc3", 1), UNSUPPORTED),
+    "a PNG with an unknown critical chunk": (lambda: png_with(b"ABCD", b"x"), UNSUPPORTED),
+    "a PNG of 2 bits with a transparent colour": (lambda: png_key(2, 0), UNSUPPORTED),
+    "a PNG of 3 x 16 bits with a transparent colour": (lambda: png_key(16, 2), UNSUPPORTED),
+    "bytes over the limit": (lambda: picture("PNG") + bytes(9 << 20), TOO_LARGE),
+    "a PNG bomb": (png_bomb, TOO_LARGE),
+    "a PNG of one row": (lambda: png(100_000, 1, png_rows(100_000, 1)), TOO_LARGE),
+    "a PNG of 2**31 pixels a side": (lambda: png(2**31 - 1, 2**31 - 1, png_rows(64, 64)), TOO_LARGE),
+    "a JPEG that claims 65,500 a side": (lambda: jpeg_claiming(65_500, 65_500), TOO_LARGE),
+    "a WebP that claims 16,384 a side": (lambda: webp_claiming(16_384, 16_384), TOO_LARGE),
+    "a PNG of no pixels": (lambda: png(0, 64, png_rows(0, 64)), INVALID),
+    "a JPEG of no rows": (lambda: jpeg_claiming(64, 0), INVALID),
+    "an animated PNG": (lambda: animation("PNG"), INVALID),
+    "an animated WebP": (lambda: animation("WEBP"), INVALID),
+    "a PNG with a ZIP behind it": (lambda: picture("PNG") + b"PK\x03\x04" + bytes(64), INVALID),
+    "a JPEG with HTML behind it": (lambda: picture("JPEG") + b"<script>alert(1)</script>", INVALID),
+    "a JPEG with a JPEG behind it": (lambda: picture("JPEG") * 2, INVALID),
+    "a WebP with bytes behind it": (lambda: picture("WEBP") + bytes(2), INVALID),
+    "half a PNG": (lambda: _half(_noisy("PNG")), INVALID),
+    "half a JPEG": (lambda: _half(_noisy("JPEG")), INVALID),
+    "half a WebP": (lambda: _half(_noisy("WEBP")), INVALID),
+    "a PNG without its end": (lambda: picture("PNG")[:-12], INVALID),
+    "a PNG whose rows stop halfway": (lambda: png(64, 64, png_chunk(b"IDAT", zlib.compress(NOISE)[:600])), INVALID),
+    "a PNG without pixels": (lambda: png(64, 64), INVALID),
+    "a PNG header alone": (lambda: PNG_START + b"\0\0\0\rIHDR", INVALID),
+    "a PNG whose rows are noise": (lambda: png(64, 64, png_chunk(b"IDAT", bytes(range(256)))), INVALID),
+    "a PNG with a wrong checksum": (lambda: picture("PNG").replace(b"IHDR\0\0\0\x40", b"IHDR\0\0\0\x41", 1), INVALID),
+    "a PNG of depth 3": (lambda: png(64, 64, png_rows(64, 64), depth=3), INVALID),
+    "a PNG with a palette missing": (lambda: png(64, 64, png_rows(64, 64), colour=3)[:-20], INVALID),
+    "a PNG whose header comes second": (lambda: PNG_START + png_chunk(b"tEXt", b"a\0b") + png(9, 9)[8:], INVALID),
+    "a PNG of 20,000 empty chunks": (_empty_chunks, INVALID),
+    "a JPEG without a scan": (lambda: picture("JPEG")[: picture("JPEG").index(b"\xff\xda")] + b"\xff\xd9", INVALID),
+    "a JPEG of a thousand scans": (jpeg_scans, INVALID),
+    "a JPEG with a table of no length": (lambda: b"\xff\xd8\xff\xdb\0\0" + picture("JPEG")[2:], INVALID),
+    "a JPEG with bytes between segments": (lambda: b"\xff\xd8\xff\xfe\0\2ab" + picture("JPEG")[2:], INVALID),
+    "a JPEG start alone": (lambda: b"\xff\xd8\xff", INVALID),
+    "a WebP whose canvas is larger than its picture": (lambda: webp_canvas(4096, 3072), INVALID),
+    "a WebP without a frame": (lambda: b"RIFF\x04\0\0\0WEBP", INVALID),
+    "a WebP header alone": (lambda: b"RIFF\xff\xff\xff\xffWEBP", INVALID),
+    "a WebP whose container is too short": (lambda: webp_riff(4), INVALID),
+    "a WebP that claims another size": (lambda: webp_claiming(2048, 2048), INVALID),
+}
+
+# Files that cost dear to whoever reads more of them than the pixels; read with care they are harmless.
+COSTLY_METADATA: Final[dict[str, Callable[[], bytes]]] = {
+    "a PNG with 60 texts of 1 MB each": lambda: png(
+        64, 64, png_chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(1 << 20))) * 60, png_rows(64, 64)
+    ),
+    "a PNG with a colour profile bomb": lambda: png_with(b"iCCP", b"a\0\0" + zlib.compress(bytes(256 << 20))),
+    "a PNG with an EXIF bomb": lambda: png_with(b"eXIf", exif_bomb()),
+    "a JPEG with an EXIF bomb": lambda: jpeg_with(0xE1, b"Exif\0\0" + exif_bomb()),
+    "a JPEG that says it is several pictures": lambda: jpeg_with(0xE2, b"MPF\0" + bytes(60)),
+}
