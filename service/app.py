@@ -71,6 +71,7 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
     guard = [Depends(may_predict)] if keys.wanted else []
     app.include_router(routes.health)
     app.include_router(routes.router, dependencies=guard)
+    app.include_router(routes.uploads, dependencies=guard)
     app.include_router(open_inference.health)
     app.include_router(open_inference.router, dependencies=guard)
     install_problem_handlers(app)

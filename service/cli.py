@@ -19,10 +19,11 @@ from service.errors import CazslError
 from service.keys import Grant, Scope
 from service.loaded_models import DEFAULT_MODELS, LoadedModel, LoadedModels, load_version
 from service.manifest import ModelReference
+from service.object_bodies import ContextBody
 from service.predictions import predict_with
 from service.predictor import OnnxPredictor
 from service.registry import Registry
-from service.requests import ContextBody, PredictRequest, PusherBody
+from service.requests import PredictRequest, PusherBody
 from service.settings import Settings
 from service.telemetry import configure_logging
 

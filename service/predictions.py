@@ -15,10 +15,14 @@ import orjson
 from service.contract import ContextKind, FloatArray, IndexArray, ObjectContext
 from service.errors import FieldFault, InvalidRequestError
 from service.frames import DoubleArray, into_world_frame
+from service.images import decode, visual_context
 from service.loaded_models import FIRST_OBJECT, LoadedModel, Snapshot
-from service.requests import BatchRequest, ContextBody, Prediction, PredictRequest
+from service.object_bodies import ContextBody
+from service.requests import BatchRequest, Prediction, PredictRequest
+from service.uploads import Upload
 
 LIGHT_PUSHES: Final = 256  # as many are answered in about the time that handing them to a thread takes
+MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
 _CACHED_OBJECTS: Final = 4096  # Omnipush has 250
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
 Render = Callable[[FloatArray, FloatArray, DoubleArray | None], dict[str, object]]
@@ -86,11 +90,30 @@ def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
     return _answer(model, pushers, objects, request.objects(), _columns)
 
 
+def predict_upload(models: Snapshot, upload: Upload) -> Answer:
+    """Answer one push (field ``pusher``) or many (``pushers``) of the object in an image; blocking: it decodes.
+
+    Raises:
+        ValidationError: a field is not what the schemas say.
+        RequestError, ModelNotReadyError, PredictionError: as ``predict_one`` and ``images.decode``.
+    """
+    tensor = visual_context(decode(upload.image)).tensor()[None]
+    if "pushers" not in upload.fields:
+        request = PredictRequest.model_validate(upload.fields)
+        objects = Objects(ContextKind.VISUAL, tensor, FIRST_OBJECT)
+        return _predict_one(_model(models, request, objects.kind), request, objects)
+    batch = BatchRequest.model_validate(upload.fields)
+    objects = Objects(ContextKind.VISUAL, tensor, np.zeros(len(batch.pushers), dtype=np.int64))
+    return _answer(_model(models, batch, objects.kind), batch.pusher_poses(), objects, batch.objects(), _columns)
+
+
 def is_light(request: object) -> bool:
     """Whether a request of few bytes may be answered in the event loop."""
     if isinstance(request, BatchRequest):
-        return len(request.pushers) <= LIGHT_PUSHES and len(request.contexts or ()) <= LIGHT_PUSHES
-    return True
+        contexts = request.contexts or ()
+        few = len(request.pushers) <= LIGHT_PUSHES and len(contexts) <= LIGHT_PUSHES
+        return few and all(context.image is None for context in contexts)
+    return not isinstance(request, PredictRequest) or request.context is None or request.context.image is None
 
 
 def _object(request: PredictRequest) -> Objects:
@@ -137,6 +160,9 @@ def _columns(mean: FloatArray, std: FloatArray, covariance: DoubleArray | None) 
 
 def _objects(contexts: Sequence[ContextBody], places: IndexArray) -> Objects:
     """The distinct objects among contexts; those told by one descriptor are encoded once."""
+    if sum(context.image is not None for context in contexts) > MAX_IMAGES:
+        accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
+        raise InvalidRequestError([FieldFault("body.contexts", f"more than {MAX_IMAGES} images", accepted)])
     kinds: dict[ContextKind, int] = {}
     tensors: list[FloatArray] = []
     known: dict[str, int] = {}

@@ -4,27 +4,23 @@ Every field carries its unit, an example and what it means; the OpenAPI document
 batch stop at their first fault: a body with a million faults costs no more than one with one.
 """
 
-import base64
-import binascii
 import itertools
-import math
 from typing import Annotated, Final
 
 import numpy as np
 from pydantic import ConfigDict, FailFast, Field
 
-from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, IndexArray, ObjectContext, VisualContext, wrap_angle
+from service.contract import IndexArray, wrap_angle
 from service.errors import FieldFault, InvalidRequestError
 from service.frames import DoubleArray, into_object_frame, wrap_angles
 from service.manifest import ModelReference
+from service.object_bodies import ContextBody
 from service.schemas import Body
 
 REACH_M: Final = 1.0  # a push is 50 mm: further from the object nothing can touch it
 WORLD_M: Final = 1e6  # as far as positions in the world may go: float64 keeps them to a nanometre
 MAX_PUSHES: Final = 10_000
 _POSE_PARTS: Final = 3
-_INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
-_VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
 
 
 class PusherBody(Body):
@@ -63,61 +59,6 @@ class ObjectPoseBody(Body):
         float, Field(description="of its x axis, through the middle of side 1, in rad; wrapped", examples=[1.57])
     ]
 
-
-class ContextBody(Body):
-    """What is known of the object, in exactly one form."""
-
-    descriptor: Annotated[
-        str | None,
-        Field(
-            description="four sides, each a shape digit (1 concave, 2 triangular, 3 circular, 4 rectangular) and a "
-            "weight letter (a none, b 60 g, c 150 g; B 60 g, C 150 g in a triangle's second position)",
-            examples=["1a2b3c4a"],
-        ),
-    ] = None
-    indicator: Annotated[
-        list[float] | None,
-        Field(
-            min_length=INDICATOR_LENGTH,
-            max_length=INDICATOR_LENGTH,
-            description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
-            examples=[_INDICATOR_EXAMPLE],
-        ),
-    ] = None
-    visual: Annotated[
-        str | list[list[float]] | None,
-        Field(
-            description="the visual context itself: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
-            "in [0, 1]; POST /v1/contexts makes one of an image",
-            examples=["AAAA" * (_VISUAL_TEXT_LENGTH // 4 - 1) + "AA=="],
-        ),
-    ] = None
-
-    @property
-    def only_descriptor(self) -> str | None:
-        """The descriptor, where that is the one form given: the form that is known by heart."""
-        return self.descriptor if self.indicator is None and self.visual is None else None
-
-    def to_contract(self, where: str = "body.context") -> ObjectContext | VisualContext:
-        """The object.
-
-        Raises:
-            InvalidRequestError: not exactly one form, or a form that cannot be one.
-        """
-        given = [name for name in _FORMS if getattr(self, name) is not None]
-        if len(given) != 1:
-            received = " and ".join(given) or "no form"
-            raise InvalidRequestError([FieldFault(where, received, f"exactly one of {', '.join(_FORMS)}")])
-        if self.descriptor is not None:
-            return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
-        if self.indicator is not None:
-            return ObjectContext.from_indicator(self.indicator, f"{where}.indicator")
-        if isinstance(self.visual, str):
-            return VisualContext.from_bytes(decode_base64(self.visual, f"{where}.visual"), f"{where}.visual")
-        return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual")
-
-
-_FORMS: Final = tuple(ContextBody.model_fields)
 
 Reference = Annotated[
     str | None,
@@ -305,30 +246,6 @@ class BatchRequest(Prediction):
             received, accepted = "a place that contexts does not have", f"0 to {contexts - 1}"
             raise InvalidRequestError([FieldFault(f"body.context_index.{wrong}", received, accepted)])
         return np.array(self.context_index, dtype=np.int64)
-
-
-def decode_base64(text: str, where: str) -> bytes:
-    """The bytes that a text stands for.
-
-    Raises:
-        InvalidRequestError: it is not base64 with its padding.
-    """
-    try:
-        return base64.b64decode(text, validate=True)
-    except (binascii.Error, ValueError) as error:
-        received = f"a text of {len(text)} characters that is not base64"
-        raise InvalidRequestError([FieldFault(where, received, "base64 with its padding (RFC 4648)")]) from error
-
-
-def _levels(rows: list[list[float]], where: str) -> bytes:
-    """Grey levels of rows of numbers in [0, 1]."""
-    if len(rows) != VISUAL_SIZE or any(len(row) != VISUAL_SIZE for row in rows):
-        received = f"{len(rows)} rows"
-        raise InvalidRequestError([FieldFault(where, received, f"{VISUAL_SIZE} rows of {VISUAL_SIZE} numbers")])
-    grey = np.array(rows)
-    if not (grey.min() >= 0.0 and grey.max() <= 1.0):
-        raise InvalidRequestError([FieldFault(where, "a number outside [0, 1]", "0 (black) to 1 (white)")])
-    return np.floor(grey * 255.0 + 0.5).astype(np.uint8).tobytes()
 
 
 def _poses(rows: list[list[float]], most_m: float, where: str) -> DoubleArray:

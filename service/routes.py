@@ -1,17 +1,21 @@
 """The /v1 endpoints and the health routes: parse, call one function, render."""
 
+import base64
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 import pydantic_core
 from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
+from pydantic import ValidationError
 
 from service.access import may_predict, respond, snapshot_of, takes_json, workers_of
 from service.errors import MalformedBodyError, UnsupportedMediaTypeError
+from service.images import decode, quality_flags, thumbnail_png, visual_context
 from service.loaded_models import LoadedModel, Snapshot
 from service.manifest import ModelReference
-from service.predictions import Answer, is_light, predict_batch, predict_one
+from service.predictions import Answer, is_light, predict_batch, predict_one, predict_upload
 from service.requests import BatchRequest, PredictRequest
 from service.schemas import (
     BatchResponse,
@@ -22,7 +26,9 @@ from service.schemas import (
     PredictResponse,
     ProblemBody,
     ReadyBody,
+    VisualContextBody,
 )
+from service.uploads import FORM_TYPE, IMAGE_TYPES, Upload, read_upload
 
 P = TypeVar("P", PredictRequest, BatchRequest)
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
@@ -32,6 +38,32 @@ Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """How the OpenAPI document describes failures."""
     return {status: {"description": "a problem, see its code", "model": ProblemBody} for status in statuses}
+
+
+_NO_ENCODING: Final = "header Content-Encoding: received a compressed body; accepted is a plain one"
+_IMAGE_PART: Final[dict[str, Any]] = {
+    "image": {"type": "string", "format": "binary", "description": "PNG, JPEG or WebP of the object from above"}
+}
+_PUSH_PARTS: Final[dict[str, Any]] = {
+    "pusher": {
+        "type": "string",
+        "description": "JSON, as in /v1/predict",
+        "example": '{"x": -0.07, "y": 0, "angle": 0}',
+    },
+    "pushers": {"type": "string", "description": "or JSON, as in /v1/predict/batch", "example": "[[-0.075, 0, 0]]"},
+    "object_pose": {"type": "string", "description": "JSON, beside pusher", "example": '{"x": 0, "y": 0, "angle": 0}'},
+    "object_poses": {"type": "string", "description": "JSON, beside pushers", "example": "[[0, 0, 0]]"},
+    "model": {"type": "string", "description": "as in /v1/predict", "example": "push-visual"},
+}
+
+
+def _form(parts: dict[str, Any], *, also_images: bool = False) -> dict[str, Any]:
+    """A form in the OpenAPI document; such routes read bytes, so FastAPI knows of none."""
+    schema = {"type": "object", "properties": parts, "required": ["image"], "additionalProperties": False}
+    content: dict[str, Any] = {FORM_TYPE: {"schema": schema}}
+    if also_images:
+        content |= {kind: {"schema": {"type": "string", "format": "binary"}} for kind in IMAGE_TYPES}
+    return {"requestBody": {"required": True, "content": content}}
 
 
 class StrictJsonRequest(Request):
@@ -69,8 +101,7 @@ class StrictJsonRoute(APIRoute):
             await may_predict(request)
             await takes_json(request)
             if "content-encoding" in request.headers:
-                accepted = "header Content-Encoding: received a compressed body; accepted is a plain one"
-                raise UnsupportedMediaTypeError(accepted)
+                raise UnsupportedMediaTypeError(_NO_ENCODING)
             if not _is_json(request.headers.get("content-type", "")):
                 accepted = "header Content-Type: received something else or nothing; accepted is application/json"
                 raise UnsupportedMediaTypeError(accepted)
@@ -82,6 +113,7 @@ class StrictJsonRoute(APIRoute):
 
 
 router = APIRouter(route_class=StrictJsonRoute, dependencies=[Depends(takes_json)])
+uploads = APIRouter(dependencies=[Depends(takes_json)])
 health = APIRouter()
 
 
@@ -107,6 +139,37 @@ async def predict(request: Request, body: PredictRequest) -> Response:
 async def predict_many(request: Request, body: BatchRequest) -> Response:
     """Predict pushes in columns: one row each of pushers, mean and std. A row's answer depends on that row only."""
     return respond(request, await _answer(request, predict_batch, body))
+
+
+@uploads.post(
+    "/v1/predict/image",
+    tags=["predict"],
+    summary="The same for the object in an image",
+    response_model=PredictResponse | BatchResponse,
+    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
+    openapi_extra=_form({**_IMAGE_PART, **_PUSH_PARTS}),
+)
+async def predict_image(request: Request) -> Response:
+    """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
+    upload = await _upload(request)
+    try:
+        return respond(request, await workers_of(request).run(predict_upload, snapshot_of(request), upload))
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in found]) from error
+
+
+@uploads.post(
+    "/v1/contexts",
+    tags=["predict"],
+    summary="What does a model see of this image?",
+    responses=_problems(400, 406, 408, 413, 415, 422, 429, 503),
+    openapi_extra=_form(_IMAGE_PART, also_images=True),
+)
+async def make_context(request: Request) -> VisualContextBody:
+    """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
+    upload = await _upload(request)
+    return await workers_of(request).run(_visual_context, upload.image)
 
 
 @router.get("/v1/models", tags=["models"], summary="What is served", responses=_problems(406))
@@ -157,6 +220,23 @@ async def ready(request: Request, response: Response) -> ReadyBody:
     names = sorted({name for name, _ in models.models})
     served = {name: models.versions(name) for name in names}
     return ReadyBody(ready=bool(models.models), models=served, problems=list(models.problems))
+
+
+async def _upload(request: Request) -> Upload:
+    if "content-encoding" in request.headers:
+        raise UnsupportedMediaTypeError(_NO_ENCODING)
+    return await workers_of(request).run(read_upload, request.headers, await request.body())
+
+
+def _visual_context(content: bytes) -> VisualContextBody:
+    """Blocking: it decodes."""
+    image = decode(content)
+    context = visual_context(image)
+    return VisualContextBody(
+        visual=base64.b64encode(context.levels).decode(),
+        thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
+        flags=[flag.value for flag in quality_flags(image)],
+    )
 
 
 async def _answer(request: Request, predict: Callable[[Snapshot, P], Answer], body: P) -> Answer:

@@ -101,6 +101,32 @@ class BatchResponse(Body):
     ] = None
 
 
+class VisualContextBody(Body):
+    """What a model sees of an image, to be used again, and what looks wrong in it."""
+
+    visual: Annotated[
+        str,
+        Field(
+            description="base64 of 1,024 grey levels, row by row: the field visual of a context",
+            examples=["AAAA" * 341 + "AA=="],
+        ),
+    ]
+    thumbnail_png: Annotated[
+        str,
+        Field(
+            description="base64 of a PNG of 256 x 256 pixels: what the model sees, to be looked at",
+            examples=["iVBORw0KGgo="],
+        ),
+    ]
+    flags: Annotated[
+        list[str],
+        Field(
+            description="what looks wrong: blank, clipped, off_centre, several_objects; then do not trust it far",
+            examples=[["off_centre"]],
+        ),
+    ]
+
+
 class ModelBody(Body):
     """A model as it is served now."""
 

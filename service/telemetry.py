@@ -42,6 +42,7 @@ def configure_logging(level: str) -> None:
                 }
             },
             "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "json"}},
+            "loggers": {"python_multipart": {"level": "ERROR"}},  # it repeats what is wrong in forms, byte by byte
             "root": {"level": level, "handlers": ["stderr"]},
         }
     )
