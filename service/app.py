@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 from typing import Any
 
 from fastapi import Depends, FastAPI
-from starlette.types import Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
 from service import open_inference, routes
@@ -19,7 +19,7 @@ from service.keys import Keys
 from service.loaded_models import LoadedModels
 from service.problems import install_problem_handlers, problem_response, state_media_type
 from service.settings import Settings
-from service.telemetry import RequestTelemetry
+from service.telemetry import RequestLog, RequestTelemetry
 from service.workers import Workers, processors
 
 logger = logging.getLogger(__name__)
@@ -34,15 +34,29 @@ through the middle of side 1, y axis through the middle of side 2, counter-clock
 
 
 class Service(FastAPI):
-    """The application; its OpenAPI document tells the truth about failures."""
+    """The application: FastAPI inside, our rings around it; its OpenAPI document tells the truth about failures.
+
+    The rings stand outside of FastAPI, not among its middleware: what they answer costs none of its machinery.
+    """
+
+    rings: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request, from the outermost ring inwards."""
+        await self.rings(scope, receive, send)
+
+    async def framework(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """What is inside of the rings."""
+        await super().__call__(scope, receive, send)
 
     def openapi(self) -> dict[str, Any]:
         """The document, made once."""
         return open_inference.describe_infer(state_media_type(super().openapi()))
 
 
-def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
-    """The service over these models."""
+def create_app(settings: Settings, models: LoadedModels, log: RequestLog | None = None) -> FastAPI:
+    """The service over these models; the lines of requests go to standard error unless told otherwise."""
+    log = log or RequestLog()
     workers = Workers(processors(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
 
@@ -56,6 +70,7 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
         with contextlib.suppress(asyncio.CancelledError):
             await poll
         workers.close()
+        log.flush()
 
     app = Service(
         title="CAZSL",
@@ -75,10 +90,8 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
     app.include_router(open_inference.health)
     app.include_router(open_inference.router, dependencies=guard)
     install_problem_handlers(app)
-    # from the inside out: each ring sees a request before those above it here
-    app.add_middleware(FastPath, models=models, workers=workers, keys=keys)
-    app.add_middleware(Intake, limits=_limits(settings))
-    app.add_middleware(RequestTelemetry, internal_error=_internal_error)
+    fast_path = FastPath(app.framework, models, workers, keys)
+    app.rings = RequestTelemetry(Intake(fast_path, _limits(settings)), _internal_error, log)
     return app
 
 

@@ -95,6 +95,7 @@ def serve(**options: Any) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
+        proxy_headers=False,  # who asks is who connects
         timeout_graceful_shutdown=settings.grace_s,
     )
 

@@ -72,7 +72,8 @@ class LoadedModel:
             raise ContextKindError([FieldFault("body.context", f"kind {kind}", accepted)])
         mean, std = self.predictor.predict(pushers, contexts, places)
         angles = mean[:, 2]
-        if angles.max() > _LARGEST_ANGLE or angles.min() < -_LARGEST_ANGLE:
+        inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)
+        if not inside:
             mean = mean.copy()
             mean[:, 2] = np.clip(wrap_angles(angles.astype(np.float64)), -_LARGEST_ANGLE, _LARGEST_ANGLE)
         return mean, std
@@ -87,6 +88,10 @@ class LoadedModel:
         tensor, places = (None, None) if context is None else (context.tensor()[None], FIRST_OBJECT)
         mean, std = self.predict(poses, context_kind_of(context), tensor, places)
         return GaussianPose(Pose(*mean[0].tolist()), Pose(*std[0].tolist()))
+
+
+def _all_inside(angles: FloatArray) -> bool:
+    return bool(angles.max() <= _LARGEST_ANGLE and angles.min() >= -_LARGEST_ANGLE)
 
 
 def context_kind_of(context: ObjectContext | VisualContext | None) -> ContextKind:

@@ -1,14 +1,16 @@
 """Logs as JSON lines, and a request id on every request: taken from ``X-Request-ID`` or made, returned, logged."""
 
+import asyncio
 import itertools
 import logging
 import re
+import sys
 import time
 import uuid
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from logging.config import dictConfig
-from typing import Final
+from typing import Final, TextIO
 
 import orjson
 from pythonjsonlogger.core import RESERVED_ATTRS
@@ -17,8 +19,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 _ID_HEADER: Final = b"x-request-id"
 _SAFE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-_REQUEST: Final = "request"
-_FIELDS: Final = ("request_id", "method", "route", "status", "duration_ms", "model", "version", "pushes")
+_HEAD: Final = {"level": "INFO", "logger": __name__, "message": "request"}
+_ORJSON: Final = orjson.OPT_UTC_Z
+_FLUSH_S: Final = 0.2
+_FLUSH_LINES: Final = 512
 _QUIET_ROUTES: Final = frozenset({"/livez", "/readyz"})
 
 logger = logging.getLogger(__name__)
@@ -33,7 +37,7 @@ def configure_logging(level: str) -> None:
             "disable_existing_loggers": False,
             "formatters": {
                 "json": {
-                    "()": JsonLines,
+                    "()": JsonFormatter,
                     "format": "{levelname}{name}{message}",
                     "style": "{",
                     "timestamp": "time",
@@ -48,18 +52,32 @@ def configure_logging(level: str) -> None:
     )
 
 
-class JsonLines(JsonFormatter):
-    """One JSON object a line. The line of a request, which is most of them, is made without the general machinery."""
+class RequestLog:
+    """A JSON line for every request, written together a few times a second: a write each costs as much as a prediction.
 
-    def format(self, record: logging.LogRecord) -> str:
-        """The line of a record."""
-        if record.msg is not _REQUEST:
-            return str(super().format(record))
-        fields = vars(record)
-        line = {name: fields[name] for name in _FIELDS if name in fields}
-        made = datetime.fromtimestamp(record.created, UTC).isoformat()
-        head = {"level": record.levelname, "logger": record.name, "message": record.msg, "time": made}
-        return orjson.dumps({**head, **line}, default=str).decode()
+    Lines that are not written yet are lost when the process is killed; ``flush`` writes them at an orderly end.
+    """
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._stream = stream
+        self._lines: list[dict[str, object]] = []
+
+    def add(self, line: dict[str, object]) -> None:
+        """Take a line; it is written soon."""
+        if not self._lines:
+            asyncio.get_running_loop().call_later(_FLUSH_S, self.flush)
+        self._lines.append(line)
+        if len(self._lines) >= _FLUSH_LINES:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what there is."""
+        lines, self._lines = self._lines, []
+        text = b"\n".join([orjson.dumps(_HEAD | line, option=_ORJSON) for line in lines])
+        if lines:
+            stream = self._stream or sys.stderr
+            stream.write(text.decode() + "\n")
+            stream.flush()
 
 
 def request_id_of(scope: Scope) -> str:
@@ -70,8 +88,9 @@ def request_id_of(scope: Scope) -> str:
 class RequestTelemetry:
     """The outermost ring: an id and a log line for every request, and a 500 for what nobody expected."""
 
-    def __init__(self, app: ASGIApp, internal_error: InternalError) -> None:
+    def __init__(self, app: ASGIApp, internal_error: InternalError, log: RequestLog) -> None:
         self.app = app
+        self.log = log
         self._internal_error = internal_error
         self._process = uuid.uuid4().hex[:20]
         self._count = itertools.count()
@@ -103,7 +122,7 @@ class RequestTelemetry:
                 raise
             await self._internal_error(scope, receive, send_with_id)
         finally:
-            self._log(scope, status, (time.perf_counter() - started) * 1000.0, request_id)
+            self._note(scope, status, (time.perf_counter() - started) * 1000.0, request_id)
 
     def _id_of(self, scope: Scope) -> str:
         """The caller's id when it is safe to log, else one of our own: random for the process, counted within it."""
@@ -112,18 +131,17 @@ class RequestTelemetry:
                 return str(value, "ascii")
         return f"{self._process}{next(self._count):012x}"
 
-    def _log(self, scope: Scope, status: int, duration_ms: float, request_id: str) -> None:
+    def _note(self, scope: Scope, status: int, duration_ms: float, request_id: str) -> None:
         noted = scope["state"].get("log", {})
         template = noted.get("route") or str(getattr(scope.get("route"), "path", "unknown"))
-        level = logging.DEBUG if template in _QUIET_ROUTES else logging.INFO
-        if not logger.isEnabledFor(level):
+        if not logger.isEnabledFor(logging.DEBUG if template in _QUIET_ROUTES else logging.INFO):
             return
         line = {
+            "time": datetime.now(UTC),
             "request_id": request_id,
             "method": scope["method"],
             "route": template,
             "status": status,
             "duration_ms": round(duration_ms, 3),
-            **noted,
         }
-        logger.log(level, _REQUEST, extra=line)
+        self.log.add(line | noted)

@@ -21,7 +21,7 @@ from service.keys import Keys
 from service.loaded_models import LoadedModels
 from service.registry import Registry
 from service.settings import Settings
-from service.telemetry import RequestTelemetry
+from service.telemetry import RequestLog, RequestTelemetry
 from service.workers import Workers
 from tests.fakes import FAILING, fake_models, publish_fake
 
@@ -56,7 +56,7 @@ def short_only(served: Served) -> Iterator[TestClient]:
     workers = Workers(1, 8, 10.0)
     fast_path = FastPath(PlainTextResponse("the long way", 418), served[1], workers, Keys(None))
     intake = Intake(fast_path, IntakeLimits(1 << 20, 10.0, 8, 0, 1 << 24))
-    yield TestClient(RequestTelemetry(intake, PlainTextResponse("internal", 500)))
+    yield TestClient(RequestTelemetry(intake, PlainTextResponse("internal", 500), RequestLog()))
     workers.close()
 
 
