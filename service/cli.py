@@ -14,6 +14,7 @@ import uvicorn
 
 import service
 from service.app import create_app
+from service.connections import bounded_connection
 from service.contract import ContextKind
 from service.errors import CazslError
 from service.keys import Grant, Scope
@@ -95,6 +96,7 @@ def serve(**options: Any) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
+        http=bounded_connection(settings.body_timeout_s),
         proxy_headers=False,  # who asks is who connects
         timeout_graceful_shutdown=settings.grace_s,
     )

@@ -78,6 +78,14 @@ def _render(
         if status == HTTPStatus.UNPROCESSABLE_ENTITY:
             status = HTTPStatus.BAD_REQUEST  # the protocol knows no other for a request that is not in order
         return Response(orjson.dumps({"error": detail}), int(status), headers, media_type="application/json")
+    content = problem_body(HTTPStatus(status), code, title, detail, faults, request_id_of(scope))
+    return Response(content, int(status), headers, media_type=MEDIA_TYPE)
+
+
+def problem_body(
+    status: HTTPStatus, code: str, title: str, detail: str, faults: Sequence[FieldFault] = (), request_id: str = ""
+) -> bytes:
+    """The document of a problem."""
     body = ProblemBody(
         type=f"urn:cazsl:problem:{code}",
         title=title,
@@ -85,9 +93,9 @@ def _render(
         code=code,
         detail=detail,
         errors=[FaultBody(where=fault.where, received=fault.received, accepted=fault.accepted) for fault in faults],
-        request_id=request_id_of(scope),
+        request_id=request_id,
     )
-    return Response(body.model_dump_json(), int(status), headers, media_type=MEDIA_TYPE)
+    return body.model_dump_json().encode()
 
 
 def _fault(found: Mapping[str, Any]) -> FieldFault:

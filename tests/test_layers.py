@@ -43,6 +43,7 @@ SERVICE: dict[str, set[str]] = {
     },
     "open_inference": {"access", "errors", "inference", "manifest", "schemas", "tensors"},
     "intake": {"errors", "keys", "problems"},
+    "connections": {"problems"},
     "fast_path": {"errors", "inference", "intake", "keys", "loaded_models", "predictions", "requests", "workers"},
     "app": {
         "access",
@@ -59,6 +60,7 @@ SERVICE: dict[str, set[str]] = {
         "workers",
     },
     "cli": {
+        "connections",
         "errors",
         "contract",
         "manifest",
@@ -100,6 +102,7 @@ OUTSIDE: dict[str, set[str]] = {
     "routes": {"fastapi", "pydantic", "pydantic_core"},
     "open_inference": {"fastapi", "pydantic"},
     "intake": {"starlette"},
+    "connections": {"uvicorn"},
     "fast_path": {"pydantic", "starlette"},
     "app": {"fastapi", "starlette"},
     "cli": {"click", "pydantic", "uvicorn"},
