@@ -1,6 +1,12 @@
-"""Other people's clients, unchanged, against a real service process: tritonclient, blocking and asyncio."""
+"""Other people's clients, unchanged, against a real service process: tritonclient, blocking and asyncio; KServe's SDK.
+
+KServe's SDK wants another protobuf than the trainer's onnx, so it has an environment of its own: CAZSL_KSERVE_PYTHON
+names its interpreter (``python -m venv kserve && kserve/bin/pip install kserve==0.21.0``).
+"""
 
 import asyncio
+import os
+import subprocess
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,7 +17,9 @@ import tritonclient.http.aio as concurrent
 from tritonclient.utils import InferenceServerException
 
 from service.contract import ObjectContext
-from tests.serving import serve
+from tests.serving import ROOT, serve
+
+KSERVE = os.environ.get("CAZSL_KSERVE_PYTHON")
 
 PUSHES = np.array([[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]], dtype=np.float32)
 CONTEXT = ObjectContext.from_descriptor("1a2b3c4a").indicator()[None]
@@ -132,3 +140,12 @@ def test_the_asyncio_client_speaks_too(url: str) -> None:
                 await client.infer("nobody", tensors)
 
     asyncio.run(scenario())
+
+
+@pytest.mark.skipif(KSERVE is None, reason="CAZSL_KSERVE_PYTHON names no interpreter with kserve")
+def test_the_sdk_of_kserve_speaks_too(url: str) -> None:
+    """Health, inference in both forms, and the text of an error."""
+    script = str(ROOT / "tests" / "kserve_client.py")
+    bits = "".join(str(int(bit)) for bit in CONTEXT[0])
+    done = subprocess.run([KSERVE or "", script, f"http://{url}", bits], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
