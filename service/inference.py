@@ -108,7 +108,7 @@ def infer(models: Snapshot, request: InferRequest) -> Answer:
 
 def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:
     """The outputs to give, in order, and whether as bytes; a flag of one output wins over that of all."""
-    every = part.parameters.get("binary_data_output") is True
+    every = (part.parameters or {}).get("binary_data_output") is True
     if not part.outputs:
         return dict.fromkeys(_OUTPUT_NAMES, every)
     wanted: dict[str, bool] = {}
@@ -116,7 +116,7 @@ def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:
         if output.name not in _OUTPUT_NAMES or output.name in wanted:
             accepted = f"each of {', '.join(_OUTPUT_NAMES)} once"
             raise InvalidRequestError([FieldFault("outputs", "an unknown output or one twice", accepted)])
-        wanted[output.name] = output.parameters.get("binary_data", every) is True
+        wanted[output.name] = (output.parameters or {}).get("binary_data", every) is True
     return wanted
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 
 from fastapi import APIRouter, Path, Request, Response
 from pydantic import Field
+from pydantic.config import JsonDict
 
 import service
 from service.access import respond, snapshot_of, workers_of
@@ -22,8 +23,12 @@ _PUSHER_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [1, 3],
 _OUTPUT_EXAMPLE: Final = {"name": "mean", "datatype": "FP32", "shape": [1, 3], "data": [0.021, 0.001, 0.03]}
 _METADATA_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [-1, 3]}
 
-Name = Annotated[str, Path(max_length=140, description="a model, or model@alias", examples=["push-indicator"])]
-Version = Annotated[str, Path(max_length=16, description="version of the model", examples=["1"])]
+_PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
+# for the document only: our own words say what is wrong with a name
+_NAME: Final[JsonDict] = {"pattern": f"^{_PART}(@{_PART})?$"}
+_VERSION: Final[JsonDict] = {"pattern": "^[1-9][0-9]{0,8}$"}
+Name = Annotated[str, Path(description="a model, or model@alias", examples=["push-indicator"], json_schema_extra=_NAME)]
+Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
 
 
 class ErrorBody(Body):
@@ -187,9 +192,56 @@ async def server() -> ServerBody:
 
 
 @router.get("/v2/models/{name}", summary="A model's tensors", responses=_errors(400, 404))
+async def model_metadata(request: Request, name: Name) -> ModelMetadataBody:
+    """Names, types and shapes of inputs and outputs of the champion, and the versions that are served."""
+    return _metadata(request, name, None)
+
+
 @router.get("/v2/models/{name}/versions/{version}", summary="A version's tensors", responses=_errors(400, 404))
-async def metadata(request: Request, name: Name, version: Version | None = None) -> ModelMetadataBody:
+async def version_metadata(request: Request, name: Name, version: Version) -> ModelMetadataBody:
     """Names, types and shapes of inputs and outputs, and the versions that are served."""
+    return _metadata(request, name, version)
+
+
+@router.get("/v2/models/{name}/ready", summary="Can this model be asked?", responses=_errors(400, 404, 503))
+async def model_ready(request: Request, name: Name) -> ModelReadyBody:
+    """200 when its champion is loaded and passed its checks."""
+    return _ready(request, name, None)
+
+
+@router.get(
+    "/v2/models/{name}/versions/{version}/ready", summary="Can this version be asked?", responses=_errors(400, 404, 503)
+)
+async def version_ready(request: Request, name: Name, version: Version) -> ModelReadyBody:
+    """200 when it is loaded and passed its checks; a version that is not served is not there."""
+    return _ready(request, name, version)
+
+
+@router.post(
+    "/v2/models/{name}/infer",
+    summary="Ask a model: tensors in, tensors out",
+    response_model=InferResponseBody,
+    responses=_INFER_ERRORS,
+    openapi_extra=_INFER_BODY,
+)
+async def ask_model(request: Request, name: Name) -> Response:
+    """The same predictions as /v1, as tensors; the champion answers, and says which version it is."""
+    return await _ask(request, name, None)
+
+
+@router.post(
+    "/v2/models/{name}/versions/{version}/infer",
+    summary="Ask a version: tensors in, tensors out",
+    response_model=InferResponseBody,
+    responses=_INFER_ERRORS,
+    openapi_extra=_INFER_BODY,
+)
+async def ask_version(request: Request, name: Name, version: Version) -> Response:
+    """The same predictions as /v1, as tensors."""
+    return await _ask(request, name, version)
+
+
+def _metadata(request: Request, name: str, version: str | None) -> ModelMetadataBody:
     models = snapshot_of(request)
     manifest = models.find(parse_reference(name, version)).manifest
     return ModelMetadataBody(
@@ -200,31 +252,11 @@ async def metadata(request: Request, name: Name, version: Version | None = None)
     )
 
 
-@router.get("/v2/models/{name}/ready", summary="Can this model be asked?", responses=_errors(400, 404, 503))
-@router.get(
-    "/v2/models/{name}/versions/{version}/ready", summary="Can this version be asked?", responses=_errors(400, 404, 503)
-)
-async def model_ready(request: Request, name: Name, version: Version | None = None) -> ModelReadyBody:
-    """200 when it is loaded and passed its checks; a version that is not served is not there."""
+def _ready(request: Request, name: str, version: str | None) -> ModelReadyBody:
     return ModelReadyBody(name=snapshot_of(request).find(parse_reference(name, version)).manifest.name)
 
 
-@router.post(
-    "/v2/models/{name}/infer",
-    summary="Ask a model: tensors in, tensors out",
-    response_model=InferResponseBody,
-    responses=_INFER_ERRORS,
-    openapi_extra=_INFER_BODY,
-)
-@router.post(
-    "/v2/models/{name}/versions/{version}/infer",
-    summary="Ask a version: tensors in, tensors out",
-    response_model=InferResponseBody,
-    responses=_INFER_ERRORS,
-    openapi_extra=_INFER_BODY,
-)
-async def ask(request: Request, name: Name, version: Version | None = None) -> Response:
-    """The same predictions as /v1, as tensors; the champion answers when no version is named, and says which it is."""
+async def _ask(request: Request, name: str, version: str | None) -> Response:
     content, encoding = await request.body(), request.headers.get("content-encoding")
     if encoding is not None and encoding.lower() != "identity":
         content = await workers_of(request).run(inflate, content, encoding, request.app.state.max_body_bytes)

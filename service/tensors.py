@@ -39,7 +39,7 @@ class InputPart(_Part):
     name: str
     shape: Annotated[list[int], Field(min_length=1, max_length=_LARGEST_RANK)]
     datatype: str
-    parameters: Parameters = {}
+    parameters: Parameters | None = None
     data: list[Any] | None = None
 
 
@@ -47,16 +47,16 @@ class OutputPart(_Part):
     """One output that is asked for."""
 
     name: str
-    parameters: Parameters = {}
+    parameters: Parameters | None = None
 
 
 class InferPart(_Part):
     """The JSON of an inference request."""
 
     id: Annotated[str | None, Field(max_length=256)] = None
-    parameters: Parameters = {}
+    parameters: Parameters | None = None
     inputs: Annotated[list[InputPart], Field(min_length=1, max_length=8)]
-    outputs: Annotated[list[OutputPart], Field(max_length=8)] = []
+    outputs: Annotated[list[OutputPart] | None, Field(max_length=8)] = None
 
 
 def read_json(content: bytes, header_length: str | None) -> tuple[InferPart, memoryview]:
@@ -171,7 +171,7 @@ def _from_json(data: list[Any], shape: list[int], datatype: str, where: str) -> 
 def _from_raw(given: InputPart, raw: memoryview, datatype: str, where: str) -> tuple[Array, memoryview]:
     """The next bytes as an array, and what follows them."""
     wanted = math.prod(given.shape) * _DTYPES[datatype].itemsize
-    size = given.parameters.get("binary_data_size")
+    size = (given.parameters or {}).get("binary_data_size")
     if size is None:
         raise _fault(where, "neither data nor parameters.binary_data_size", "one of them")
     if isinstance(size, bool) or size != wanted:

@@ -25,7 +25,8 @@ class Workers:
     """A bounded pool of threads with a deadline."""
 
     def __init__(self, threads: int, max_waiting: int, deadline_s: float) -> None:
-        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="worker")
+        self._threads = threads
+        self._pool: ThreadPoolExecutor | None = None
         self._most = threads + max_waiting
         self._deadline_s = deadline_s
         self._busy = 0
@@ -40,6 +41,8 @@ class Workers:
         """
         if self._busy >= self._most:
             raise OverloadedError(f"{self._most} requests of work for its threads")
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worker")
         future = self._pool.submit(function, *args, **kwargs)
         self._count(+1)
         # when its thread is free, which may be long after its caller has left
@@ -55,8 +58,10 @@ class Workers:
             self._busy += change
 
     def close(self) -> None:
-        """Drop what has not begun."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
+        """Drop what has not begun, and the threads; whoever runs something after that gets new ones."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
 
 
 def processors(cgroup_cpu: Path = _CGROUP_CPU) -> int:
