@@ -147,12 +147,12 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def wrk(script: Path, url: str, connections: int, seconds: float) -> list[str]:
+def wrk(script: Path, url: str, connections: int, seconds: int) -> list[str]:
     """The command that asks."""
-    return ["wrk", "-t1", f"-c{connections}", f"-d{seconds:g}s", "-s", str(script), url]
+    return ["wrk", "-t1", f"-c{connections}", f"-d{seconds}s", "-s", str(script), url]
 
 
-def ask(target: Server, script: Path, path: str, connections: int, seconds: float) -> Figures:
+def ask(target: Server, script: Path, path: str, connections: int, seconds: int) -> Figures:
     """One run of wrk, all answers being 200."""
     before = target.cpu_s()
     command = wrk(script, f"http://127.0.0.1:{target.port}{path}", connections, seconds)
@@ -220,7 +220,7 @@ def image_load() -> Load:
     return Load("/v1/contexts", buffer.getvalue(), {"Content-Type": "image/jpeg"})
 
 
-def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds: float) -> None:
+def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds: int) -> None:
     """Every server in turn, one push a request."""
     script = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
     runs: dict[str, list[Figures]] = {name: [] for name in servers}
@@ -240,7 +240,7 @@ def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds
         )
 
 
-def batches(ours: Server, folder: Path, rounds: int, seconds: float) -> None:
+def batches(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
     """A thousand pushes a request, beside the runtime alone."""
     loads, runtime = batch_loads(), bare_runtime()
     alone: list[float] = []
@@ -258,7 +258,7 @@ def batches(ours: Server, folder: Path, rounds: int, seconds: float) -> None:
         print(f"| ours, {name} | {median(figures, 'requests_per_s') * ROWS:.0f} | {ratio:.2f} |")
 
 
-def during_images(ours: Server, folder: Path, rounds: int, seconds: float) -> None:
+def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
     """Single pushes on one connection while two others upload photographs, and while they do not."""
     push = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
     load = image_load()
@@ -291,7 +291,7 @@ def start(rounds: int) -> None:
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seconds", type=float, default=2.0, help="length of one run of wrk")
+    parser.add_argument("--seconds", type=int, default=2, help="length of one run of wrk")
     parser.add_argument("--rounds", type=int, default=7, help="runs of each")
     parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON", help="litserve or robyn")
     options = parser.parse_args()
@@ -313,7 +313,7 @@ def main() -> None:
             port = free_port()
             own = command if name == "ours" else [*command, str(port)]
             servers[name] = stack.enter_context(server(own, port))
-        print(f"{options.rounds} rounds of {options.seconds:g} s, {os.cpu_count()} processors, medians; asked by wrk.")
+        print(f"{options.rounds} rounds of {options.seconds} s, {os.cpu_count()} processors, medians; asked by wrk.")
         single_pushes(servers, folder, options.rounds, options.seconds)
         batches(servers["ours"], folder, options.rounds, options.seconds)
         during_images(servers["ours"], folder, options.rounds, options.seconds)
