@@ -25,7 +25,7 @@ _METADATA_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [-1, 
 
 _PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
 # for the document only: our own words say what is wrong with a name
-_NAME: Final[JsonDict] = {"pattern": f"^{_PART}(@{_PART})?$"}
+_NAME: Final[JsonDict] = {"pattern": f"^{_PART}(@[a-z][a-z0-9_-]{{0,63}})?$"}
 _VERSION: Final[JsonDict] = {"pattern": "^[1-9][0-9]{0,8}$"}
 Name = Annotated[str, Path(description="a model, or model@alias", examples=["push-indicator"], json_schema_extra=_NAME)]
 Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
