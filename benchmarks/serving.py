@@ -110,7 +110,14 @@ def descendants(pid: int) -> list[int]:
 def server(command: list[str], port: int) -> Iterator[Server]:
     """A server process, from its first answer to its end."""
     environment = {**os.environ, "CAZSL_PORT": str(port), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
-    process = subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     try:
         for _ in range(1200):
             if process.poll() is None and answers(port):
@@ -120,14 +127,12 @@ def server(command: list[str], port: int) -> Iterator[Server]:
             raise SystemExit(f"nothing answers: {' '.join(command)}")
         yield Server(process, port)
     finally:
-        started = descendants(process.pid)
         process.terminate()
-        try:
+        with suppress(subprocess.TimeoutExpired):
             process.wait(10)
-        except subprocess.TimeoutExpired:  # some peers wait for children that wait for them
-            for pid in started:
-                with suppress(ProcessLookupError):
-                    os.kill(pid, signal.SIGKILL)
+        with suppress(ProcessLookupError):  # some peers leave children behind, or wait for them for ever
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def answers(port: int) -> bool:
