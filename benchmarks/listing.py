@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.latency import ROOT
+from benchmarks.serving import ROOT
 from service.registry import Registry
 
 NAME = "push-indicator"

@@ -21,10 +21,11 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.latency import BODY, LUA, ROOT, Figures, ask, free_port, server
+from benchmarks.serving import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server
 from service.registry import Registry
 
 NAME = "push-indicator"
+PATH = "/v1/predict"
 CONNECTIONS = 4
 PHASES = ("alone", "publishing elsewhere", "swapping")
 
@@ -45,37 +46,37 @@ def publish(root: Path, swaps: int, interval_s: float) -> None:
 def served_version(port: int) -> int:
     """Which version answers now."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.request("POST", "/v1/predict", BODY, {"Content-Type": "application/json"})
+    connection.request("POST", PATH, PUSH, {"Content-Type": "application/json"})
     return int(json.loads(connection.getresponse().read())["model"]["version"])
 
 
-def phase(wrk: str, script: Path, port: int, target: Path | None, swaps: int, seconds: int) -> Figures:
+def phase(asked: Server, script: Path, target: Path | None, swaps: int, seconds: int) -> Figures:
     """One run of wrk, a publisher beside it unless there is no target."""
     if target is None:
-        return ask(wrk, script, port, CONNECTIONS, seconds)
+        return ask(asked, script, PATH, CONNECTIONS, seconds)
     interval_s = (seconds - 1) / swaps
     command = [sys.executable, "-m", "benchmarks.swap", "--publish", str(target), "--swaps", str(swaps)]
     publisher = subprocess.Popen([*command, "--interval", str(interval_s)], cwd=ROOT)
     try:
-        return ask(wrk, script, port, CONNECTIONS, seconds)
+        return ask(asked, script, PATH, CONNECTIONS, seconds)
     finally:
         if publisher.wait(timeout=600):
             raise SystemExit("the publisher failed")
 
 
-def measure(options: argparse.Namespace, wrk: str, folder: Path) -> None:
+def measure(options: argparse.Namespace, folder: Path) -> None:
     """All rounds over one service."""
-    served, elsewhere, script = folder / "served", folder / "elsewhere", folder / "ask.lua"
+    served, elsewhere = folder / "served", folder / "elsewhere"
     for root in (served, elsewhere):
         shutil.copytree(ROOT / "models", root)
-    script.write_text(LUA)
+    script = Load(PATH, PUSH, {"Content-Type": "application/json"}).script(folder, "push")
     os.environ.update(CAZSL_REGISTRY=str(served), CAZSL_POLL_INTERVAL_S="0.05", CAZSL_LOG_LEVEL="ERROR")
     port, found = free_port(), {name: list[Figures]() for name in PHASES}
-    with server(["-c", "from service.cli import main; main()", "serve"], port):
-        ask(wrk, script, port, CONNECTIONS, 2)
+    with server([sys.executable, *OURS], port) as asked:
+        ask(asked, script, PATH, CONNECTIONS, 2)
         for _ in range(options.rounds):
             for name, target in zip(PHASES, (None, elsewhere, served), strict=True):
-                found[name].append(phase(wrk, script, port, target, options.swaps, options.seconds))
+                found[name].append(phase(asked, script, target, options.swaps, options.seconds))
         time.sleep(1.0)
         last, published = served_version(port), Registry(served).versions(NAME)[-1]
     print(f"{options.rounds} rounds of {options.seconds} s, {options.swaps} swaps in each, {CONNECTIONS} connections")
@@ -103,11 +104,10 @@ def main() -> None:
     if options.publish is not None:
         publish(options.publish, options.swaps, options.interval)
         return
-    wrk = shutil.which("wrk")
-    if wrk is None:
+    if shutil.which("wrk") is None:
         raise SystemExit("wrk is not installed: apt-get install wrk")
     with tempfile.TemporaryDirectory() as folder:
-        measure(options, wrk, Path(folder))
+        measure(options, Path(folder))
 
 
 if __name__ == "__main__":

@@ -2,20 +2,26 @@
 
 import asyncio
 import contextlib
+import gc
 import logging
 from collections.abc import AsyncIterator
 from typing import Any
 
-from fastapi import FastAPI
-from starlette.types import Receive, Scope, Send
+from fastapi import Depends, FastAPI
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
+from service import open_inference, routes
+from service.access import may_predict
 from service.errors import CazslError
+from service.fast_path import FastPath
+from service.intake import Intake, IntakeLimits
+from service.keys import Keys
 from service.loaded_models import LoadedModels
-from service.problems import BodyLimit, install_problem_handlers, problem_response, state_media_type
-from service.routes import router
+from service.problems import install_problem_handlers, problem_response, state_media_type
 from service.settings import Settings
-from service.telemetry import RequestTelemetry
+from service.telemetry import RequestLog, RequestTelemetry
+from service.workers import Workers, processors
 
 logger = logging.getLogger(__name__)
 
@@ -29,25 +35,46 @@ through the middle of side 1, y axis through the middle of side 2, counter-clock
 
 
 class Service(FastAPI):
-    """The application; its OpenAPI document tells the truth about failures."""
+    """The application: FastAPI inside, our rings around it; its OpenAPI document tells the truth about failures.
+
+    The rings stand outside of FastAPI, not among its middleware: what they answer costs none of its machinery.
+    """
+
+    rings: ASGIApp
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request, from the outermost ring inwards."""
+        await self.rings(scope, receive, send)
+
+    async def framework(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """What is inside of the rings."""
+        await super().__call__(scope, receive, send)
 
     def openapi(self) -> dict[str, Any]:
         """The document, made once."""
-        return state_media_type(super().openapi())
+        return open_inference.describe_infer(state_media_type(super().openapi()))
 
 
-def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
-    """The service over these models."""
+def create_app(settings: Settings, models: LoadedModels, log: RequestLog | None = None) -> FastAPI:
+    """The service over these models; the lines of requests go to standard error unless told otherwise."""
+    log = log or RequestLog()
+    workers = Workers(processors(), settings.max_waiting, settings.deadline_s)
+    keys = Keys(settings.keys)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         """Look at the registry before the first request and from then on."""
         await asyncio.to_thread(models.refresh)
+        gc.collect()
+        gc.freeze()  # what is here now stays: walking it again and again cost 5 us a push, and a pause now and then
         poll = asyncio.create_task(_poll(models, settings.poll_interval_s))
         yield
         poll.cancel()
         with contextlib.suppress(asyncio.CancelledError):
             await poll
+        gc.unfreeze()
+        workers.close()
+        log.flush()
 
     app = Service(
         title="CAZSL",
@@ -56,13 +83,30 @@ def create_app(settings: Settings, models: LoadedModels) -> FastAPI:
         lifespan=lifespan,
         redirect_slashes=False,  # a redirect would name the host that the request claimed
     )
-    app.state.settings = settings
     app.state.models = models
-    app.include_router(router)
+    app.state.max_body_bytes = settings.max_body_bytes
+    app.state.workers = workers
+    app.state.keys = keys
+    guard = [Depends(may_predict)] if keys.wanted else []
+    app.include_router(routes.health)
+    app.include_router(routes.router, dependencies=guard)
+    app.include_router(routes.uploads, dependencies=guard)
+    app.include_router(open_inference.health)
+    app.include_router(open_inference.router, dependencies=guard)
     install_problem_handlers(app)
-    app.add_middleware(BodyLimit, max_body_size=settings.max_body_bytes)
-    app.add_middleware(RequestTelemetry, internal_error=_internal_error)
+    fast_path = FastPath(app.framework, models, workers, keys)
+    app.rings = RequestTelemetry(Intake(fast_path, _limits(settings)), _internal_error, log)
     return app
+
+
+def _limits(settings: Settings) -> IntakeLimits:
+    return IntakeLimits(
+        body_bytes=settings.max_body_bytes,
+        body_s=settings.body_timeout_s,
+        in_flight=settings.max_in_flight,
+        in_flight_per_caller=settings.max_in_flight_per_caller,
+        held_bytes=settings.max_held_bytes,
+    )
 
 
 async def _poll(models: LoadedModels, interval_s: float) -> None:

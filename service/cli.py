@@ -1,5 +1,6 @@
 """``cazsl``: serve predictions, keep the registry, predict one push."""
 
+import json
 import signal
 import sys
 from typing import Any
@@ -11,12 +12,17 @@ import uvicorn
 import service
 import service.changes_cli
 from service.app import create_app
+from service.connections import bounded_connection
+from service.contract import ContextKind
 from service.errors import CazslError
-from service.loaded_models import DEFAULT_MODELS, LoadedModels, context_kind_of
+from service.keys import Grant, Scope
+from service.loaded_models import DEFAULT_MODELS, LoadedModels
 from service.location import open_registry, trusted_keys
 from service.models_cli import load, models
+from service.object_bodies import ContextBody
+from service.predictions import predict_with
 from service.predictor import OnnxPredictor
-from service.schemas import ContextBody, PredictRequest, PredictResponse, PusherBody
+from service.requests import PredictRequest, PusherBody
 from service.settings import Settings
 from service.telemetry import configure_logging
 from service.terminal import mend, registry_option
@@ -69,11 +75,41 @@ def serve(**options: Any) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
+        http=bounded_connection(settings.body_timeout_s),
+        proxy_headers=False,  # who asks is who connects
         timeout_graceful_shutdown=settings.grace_s,
     )
 
 
 main.add_command(models)
+
+
+@main.group()
+def keys() -> None:
+    """API keys, for a service that is started with CAZSL_KEYS."""
+
+
+@keys.command("new")
+@click.argument("name")
+@click.option(
+    "--scope",
+    "scopes",
+    type=click.Choice([scope.value for scope in Scope]),
+    multiple=True,
+    default=[Scope.PREDICT.value],
+    show_default=True,
+    help="What it covers; may be given more than once.",
+)
+@mend
+def new_key(name: str, scopes: tuple[str, ...]) -> None:
+    """Make a key for NAME: the line for the file of keys on standard output, the key itself on standard error, once.
+
+    \b
+    cazsl keys new robot-7 >> /etc/cazsl/keys
+    """
+    grant, key = Grant.new(name, frozenset(Scope(scope) for scope in scopes))
+    click.echo(grant.line())
+    click.echo(f"the key, shown this once: {key}", err=True)
 
 
 @main.command()
@@ -96,8 +132,6 @@ def predict(descriptor: str | None, pose: tuple[float, float, float], reference:
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False)[0]
         raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
-    push, thing = request.push(), request.object_context()
-    model = load(open_registry(registry), reference or DEFAULT_MODELS[context_kind_of(thing)])
-    gaussian = model.predict_push(push, thing)
-    answer = PredictResponse.of(model.manifest.name, model.manifest.version, gaussian)
-    click.echo(answer.model_dump_json(indent=2))
+    kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
+    answer = predict_with(load(open_registry(registry), reference or DEFAULT_MODELS[kind]), request)
+    click.echo(json.dumps(json.loads(answer.content), indent=2))

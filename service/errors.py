@@ -3,15 +3,23 @@
     CazslError
     ├── RequestError                   400  the caller sent something that cannot be answered
     │   ├── InvalidRequestError        422  a field is missing, mis-shaped, not finite or not allowed
+    │   │   ├── ContextKindError       422  the model wants another kind of object context
     │   │   └── InvalidImageError      422  a picture is broken, cut off, animated, or more than a picture
-    │   ├── MalformedBodyError         400  the body is not a JSON document
+    │   ├── MalformedBodyError         400  the body is not what it is declared to be: JSON, a form, tensors
+    │   ├── MissingKeyError            401  an API key is needed and none, or an unknown one, came
+    │   ├── ForbiddenError             403  the key does not cover this
+    │   ├── UnknownModelError          404  no such model, version or alias
+    │   ├── NotAcceptableError         406  the caller wants an answer in a form that we do not speak
+    │   ├── SlowBodyError              408  the body did not arrive in time
     │   ├── BodyTooLargeError          413  the body is over the limit
     │   ├── ImageTooLargeError         413  a picture has too many bytes or pixels
-    │   ├── UnsupportedMediaTypeError  415  the body is not sent as application/json
+    │   ├── UnsupportedMediaTypeError  415  the body is sent as something that we do not read
     │   ├── UnsupportedImageError      415  a picture is none of PNG, JPEG and WebP
-    │   ├── UnknownModelError          404  no such model, version or alias
-    │   └── ContextKindError           422  the model wants another kind of object context
-    ├── ModelNotReadyError             503  the model exists but cannot serve now
+    │   └── TooManyRequestsError       429  one caller has too many requests in flight
+    ├── UnavailableError               503  come again later
+    │   ├── ModelNotReadyError         503  the model exists but cannot serve now
+    │   ├── OverloadedError            503  too much is being answered already
+    │   └── DeadlineError              503  the answer was not ready in time
     ├── RegistryError                  500  the folder of models is not what it should be
     │   ├── BrokenModelError           500  a version fails verification: never served
     │   ├── PublishError               500  a version cannot be published; nothing became visible
@@ -78,10 +86,67 @@ class InvalidImageError(InvalidRequestError):
 
 
 class MalformedBodyError(RequestError):
-    """The body is not one JSON document in UTF-8."""
+    """The body is not what it is declared to be: one JSON document in UTF-8, a form, or JSON and tensors."""
 
     code = "malformed_body"
-    title = "The body is not JSON"
+    title = "The body cannot be read"
+
+
+class MissingKeyError(RequestError):
+    """The service wants an API key; what came is none, or none that it knows."""
+
+    code = "missing_key"
+    status = HTTPStatus.UNAUTHORIZED
+    title = "An API key is needed"
+
+    def __init__(self) -> None:
+        super().__init__(
+            "header Authorization: received no key that is known; accepted is 'Bearer ' and a key of this service"
+        )
+
+
+class ForbiddenError(RequestError):
+    """The key is known and does not cover what was asked for."""
+
+    code = "forbidden"
+    status = HTTPStatus.FORBIDDEN
+    title = "The key does not cover this"
+
+    def __init__(self, scope: str) -> None:
+        super().__init__(f"header Authorization: received a key without scope {scope}; accepted is one with it")
+
+
+class NotAcceptableError(RequestError):
+    """The answer would be in a form that the caller said it cannot take."""
+
+    code = "not_acceptable"
+    status = HTTPStatus.NOT_ACCEPTABLE
+    title = "The answer has another form"
+
+    def __init__(self, form: str = "application/json") -> None:
+        super().__init__(f"header Accept: received one without {form}; accepted is {form}, */* or no such header")
+
+
+class SlowBodyError(RequestError):
+    """The body did not arrive in the time that it is given."""
+
+    code = "slow_body"
+    status = HTTPStatus.REQUEST_TIMEOUT
+    title = "The body did not arrive in time"
+
+    def __init__(self, limit_s: float) -> None:
+        super().__init__(f"body: received a part of it in {limit_s:g} s; accepted is all of it in {limit_s:g} s")
+
+
+class TooManyRequestsError(RequestError):
+    """One caller has more requests in flight than its share."""
+
+    code = "too_many_requests"
+    status = HTTPStatus.TOO_MANY_REQUESTS
+    title = "Too many requests at once"
+
+    def __init__(self, limit: int) -> None:
+        super().__init__(f"received more than {limit} requests at once; accepted is {limit} per caller, then wait")
 
 
 class BodyTooLargeError(RequestError):
@@ -108,11 +173,11 @@ class ImageTooLargeError(RequestError):
 
 
 class UnsupportedMediaTypeError(RequestError):
-    """The body is declared as something other than JSON."""
+    """The body is declared as something that this route does not read, or is compressed."""
 
     code = "unsupported_media_type"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
-    title = "The body is not sent as JSON"
+    title = "The body is sent as something else"
 
 
 class UnsupportedImageError(RequestError):
@@ -138,12 +203,39 @@ class ContextKindError(InvalidRequestError):
     title = "The model wants another kind of context"
 
 
-class ModelNotReadyError(CazslError):
+class UnavailableError(CazslError):
+    """Not now; trying again after a moment is right."""
+
+    code = "unavailable"
+    status = HTTPStatus.SERVICE_UNAVAILABLE
+    title = "Not now"
+
+
+class ModelNotReadyError(UnavailableError):
     """The model is known but not loaded, or no model is."""
 
     code = "model_not_ready"
-    status = HTTPStatus.SERVICE_UNAVAILABLE
     title = "The model is not ready"
+
+
+class OverloadedError(UnavailableError):
+    """More is being answered, or waits for it, than this process takes on."""
+
+    code = "overloaded"
+    title = "Too much to do"
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"the service has {what}; try again after Retry-After seconds")
+
+
+class DeadlineError(UnavailableError):
+    """The answer was not ready in the time that a request is given."""
+
+    code = "deadline_exceeded"
+    title = "The answer was not ready in time"
+
+    def __init__(self, limit_s: float) -> None:
+        super().__init__(f"the answer was not ready within {limit_s:g} s; send fewer pushes, or try again")
 
 
 class RegistryError(CazslError):

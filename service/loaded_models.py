@@ -10,6 +10,7 @@ whole folder that is no longer mounted, goes on being served.
 
 import contextlib
 import logging
+import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -17,7 +18,16 @@ from typing import Final
 
 import numpy as np
 
-from service.contract import VISUAL_SIZE, ContextKind, GaussianPose, ObjectContext, Pose, VisualContext
+from service.contract import (
+    VISUAL_SIZE,
+    ContextKind,
+    FloatArray,
+    GaussianPose,
+    IndexArray,
+    ObjectContext,
+    Pose,
+    VisualContext,
+)
 from service.errors import (
     BrokenModelError,
     CazslError,
@@ -26,6 +36,7 @@ from service.errors import (
     ModelNotReadyError,
     UnknownModelError,
 )
+from service.frames import wrap_angles
 from service.history import ModelState
 from service.manifest import DEFAULT_ALIAS, Manifest, ModelReference
 from service.predictor import Predictor
@@ -35,7 +46,9 @@ PredictorFactory = Callable[[bytes, ContextKind], Predictor]
 DEFAULT_MODELS: Final[Mapping[ContextKind, str]] = {kind: f"push-{kind}" for kind in ContextKind}
 # Files that hands or other tools moved need not show in a fingerprint: every so many looks, one looks at everything.
 THOROUGH_EVERY: Final = 30
-_FIRST_OBJECT: Final = np.zeros(1, dtype=np.int64)
+_DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, name in DEFAULT_MODELS.items()}
+FIRST_OBJECT: Final = np.zeros(1, dtype=np.int64)
+_LARGEST_ANGLE: Final = np.nextafter(np.float32(math.pi), np.float32(0.0))  # float32's pi is beyond pi
 
 logger = logging.getLogger(__name__)
 
@@ -48,23 +61,42 @@ class LoadedModel:
     card: str
     predictor: Predictor
 
+    def predict(
+        self, pushers: FloatArray, kind: ContextKind, contexts: FloatArray | None, places: IndexArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Mean and std (n, 3), in the object frame, of pushes (n, 3) of the objects ``contexts[places]``.
+
+        The angles of the means are wrapped.
+
+        Raises:
+            ContextKindError: the contexts are not of the kind that the model wants.
+            PredictionError: the runtime failed.
+        """
+        if kind is not self.manifest.context_kind:
+            accepted = f"a context of kind {self.manifest.context_kind} for {self.manifest.name}"
+            raise ContextKindError([FieldFault("body.context", f"kind {kind}", accepted)])
+        mean, std = self.predictor.predict(pushers, contexts, places)
+        angles = mean[:, 2]
+        inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)
+        if not inside:
+            mean = mean.copy()
+            mean[:, 2] = np.clip(wrap_angles(angles.astype(np.float64)), -_LARGEST_ANGLE, _LARGEST_ANGLE)
+        return mean, std
+
     def predict_push(self, pusher: Pose, context: ObjectContext | VisualContext | None) -> GaussianPose:
         """Where the object ends up after one push, in the object frame.
 
         Raises:
-            ContextKindError: the context is not of the kind that the model wants.
-            PredictionError: the runtime failed.
+            ContextKindError, PredictionError: as ``predict``.
         """
-        given = context_kind_of(context)
-        if given is not self.manifest.context_kind:
-            accepted = f"a context of kind {self.manifest.context_kind} for {self.manifest.name}"
-            raise ContextKindError([FieldFault("body.context", f"kind {given}", accepted)])
         poses = np.array([[pusher.x_m, pusher.y_m, pusher.angle_rad]], dtype=np.float32)
-        if context is None:
-            mean, std = self.predictor.predict(poses, None, None)
-        else:
-            mean, std = self.predictor.predict(poses, context.tensor()[None], _FIRST_OBJECT)
-        return GaussianPose(Pose.wrapped(*mean[0].tolist()), Pose(*std[0].tolist()))
+        tensor, places = (None, None) if context is None else (context.tensor()[None], FIRST_OBJECT)
+        mean, std = self.predict(poses, context_kind_of(context), tensor, places)
+        return GaussianPose(Pose(*mean[0].tolist()), Pose(*std[0].tolist()))
+
+
+def _all_inside(angles: FloatArray) -> bool:
+    return bool(angles.max() <= _LARGEST_ANGLE and angles.min() >= -_LARGEST_ANGLE)
 
 
 def context_kind_of(context: ObjectContext | VisualContext | None) -> ContextKind:
@@ -106,7 +138,7 @@ class Snapshot:
         Raises:
             UnknownModelError, ModelNotReadyError: as ``find``.
         """
-        return self.find(ModelReference(DEFAULT_MODELS[kind], DEFAULT_ALIAS, None))
+        return self.find(_DEFAULTS[kind])
 
     def versions(self, name: str) -> list[int]:
         """The served versions of a model, oldest first.

@@ -1,24 +1,33 @@
-"""Every failure as ``application/problem+json`` (RFC 9457). Never a traceback, a path or the body."""
+"""Every failure as ``application/problem+json`` (RFC 9457), under ``/v2`` as that protocol's ``{"error": text}``.
+
+Never a traceback, a path or the body.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Any, Final, cast
 
+import orjson
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
 from starlette.exceptions import HTTPException
-from starlette.middleware.body_limit import RequestBodyLimitMiddleware
-from starlette.types import Receive, Scope, Send
+from starlette.types import Scope
 
-from service.errors import BodyTooLargeError, CazslError, FieldFault, InvalidRequestError
+from service.errors import CazslError, FieldFault, InvalidRequestError
 from service.schemas import FaultBody, ProblemBody
 from service.telemetry import request_id_of
 
 MEDIA_TYPE: Final = "application/problem+json"
 MAX_FAULTS: Final = 10
 _SAFE_NAME = re.compile(r"[A-Za-z0-9_]{1,32}")
+_HEADERS: Final[Mapping[HTTPStatus, Mapping[str, str]]] = {
+    HTTPStatus.UNAUTHORIZED: {"WWW-Authenticate": "Bearer"},
+    HTTPStatus.REQUEST_TIMEOUT: {"Connection": "close"},  # the rest of the body is not waited for
+    HTTPStatus.TOO_MANY_REQUESTS: {"Retry-After": "1"},
+    HTTPStatus.SERVICE_UNAVAILABLE: {"Retry-After": "1"},
+}
 _HTTP_CODES: Final = {
     404: ("no_such_route", "There is no such route"),
     405: ("method_not_allowed", "The route does not take this method"),
@@ -44,8 +53,6 @@ async def _on_validation(request: Request, error: Exception) -> Response:
 async def _on_http(request: Request, raised: Exception) -> Response:
     """What the framework refuses by itself: routes, methods, bodies that grew over the limit."""
     error = cast(HTTPException, raised)
-    if error.status_code == HTTPStatus.REQUEST_ENTITY_TOO_LARGE:
-        return problem_response(request.scope, BodyTooLargeError(request.app.state.settings.max_body_bytes))
     phrase = HTTPStatus(error.status_code).phrase
     code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
     detail = "see /docs for the routes and their methods"
@@ -55,8 +62,7 @@ async def _on_http(request: Request, raised: Exception) -> Response:
 def problem_response(scope: Scope, error: CazslError) -> Response:
     """The answer for an error of our tree; what went wrong inside is told to the log, not to the client."""
     faults = error.faults[:MAX_FAULTS] if isinstance(error, InvalidRequestError) else ()
-    headers = {"Retry-After": "1"} if error.status == HTTPStatus.SERVICE_UNAVAILABLE else None
-    return _render(scope, error.status, error.code, error.title, str(error), faults, headers)
+    return _render(scope, error.status, error.code, error.title, str(error), faults, _HEADERS.get(error.status))
 
 
 def _render(
@@ -68,6 +74,18 @@ def _render(
     faults: Sequence[FieldFault],
     headers: Mapping[str, str] | None,
 ) -> Response:
+    if scope["path"].startswith("/v2"):
+        if status == HTTPStatus.UNPROCESSABLE_ENTITY:
+            status = HTTPStatus.BAD_REQUEST  # the protocol knows no other for a request that is not in order
+        return Response(orjson.dumps({"error": detail}), int(status), headers, media_type="application/json")
+    content = problem_body(HTTPStatus(status), code, title, detail, faults, request_id_of(scope))
+    return Response(content, int(status), headers, media_type=MEDIA_TYPE)
+
+
+def problem_body(
+    status: HTTPStatus, code: str, title: str, detail: str, faults: Sequence[FieldFault] = (), request_id: str = ""
+) -> bytes:
+    """The document of a problem."""
     body = ProblemBody(
         type=f"urn:cazsl:problem:{code}",
         title=title,
@@ -75,9 +93,9 @@ def _render(
         code=code,
         detail=detail,
         errors=[FaultBody(where=fault.where, received=fault.received, accepted=fault.accepted) for fault in faults],
-        request_id=request_id_of(scope),
+        request_id=request_id,
     )
-    return Response(body.model_dump_json(), int(status), headers, media_type=MEDIA_TYPE)
+    return body.model_dump_json().encode()
 
 
 def _fault(found: Mapping[str, Any]) -> FieldFault:
@@ -126,21 +144,3 @@ def state_media_type(document: dict[str, Any]) -> dict[str, Any]:
                 if content.get("application/json", {}).get("schema") == {"$ref": "#/components/schemas/ProblemBody"}:
                     response["content"] = {MEDIA_TYPE: content["application/json"]}
     return document
-
-
-class BodyLimit(RequestBodyLimitMiddleware):
-    """Starlette's limit on the bytes of a body, declared or chunked, answering as a problem from the first byte on."""
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Refuse a declared length over the limit at once; count what arrives otherwise."""
-        if scope["type"] == "http" and _declared_length(scope) > self.max_body_size:
-            await problem_response(scope, BodyTooLargeError(self.max_body_size))(scope, receive, send)
-            return
-        await super().__call__(scope, receive, send)
-
-
-def _declared_length(scope: Scope) -> int:
-    for name, value in scope["headers"]:
-        if name == b"content-length" and value.isdigit():
-            return int(value[:18])
-    return 0

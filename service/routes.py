@@ -1,26 +1,36 @@
 """The /v1 endpoints and the health routes: parse, call one function, render."""
 
+import base64
 from collections.abc import Callable, Coroutine
-from typing import Annotated, Any
+from typing import Annotated, Any, Final, TypeVar
 
 import pydantic_core
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Depends, Path, Request, Response
+from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
+from pydantic import ValidationError
 
+from service.access import may_predict, respond, snapshot_of, takes_json, workers_of
 from service.errors import MalformedBodyError, UnsupportedMediaTypeError
-from service.loaded_models import LoadedModel, Snapshot, context_kind_of
+from service.images import decode, quality_flags, thumbnail_png, visual_context
+from service.loaded_models import LoadedModel, Snapshot
 from service.manifest import ModelReference
+from service.predictions import Answer, is_light, predict_batch, predict_one, predict_upload
+from service.requests import BatchRequest, PredictRequest
 from service.schemas import (
+    BatchResponse,
     LiveBody,
     ModelBody,
     ModelsBody,
     ModelVersionDetailBody,
-    PredictRequest,
     PredictResponse,
     ProblemBody,
     ReadyBody,
+    VisualContextBody,
 )
+from service.uploads import FORM_TYPE, IMAGE_TYPES, Upload, read_upload
 
+P = TypeVar("P", PredictRequest, BatchRequest)
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
 Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
 
@@ -28,6 +38,32 @@ Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the 
 def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """How the OpenAPI document describes failures."""
     return {status: {"description": "a problem, see its code", "model": ProblemBody} for status in statuses}
+
+
+_NO_ENCODING: Final = "header Content-Encoding: received a compressed body; accepted is a plain one"
+_IMAGE_PART: Final[dict[str, Any]] = {
+    "image": {"type": "string", "format": "binary", "description": "PNG, JPEG or WebP of the object from above"}
+}
+_PUSH_PARTS: Final[dict[str, Any]] = {
+    "pusher": {
+        "type": "string",
+        "description": "JSON, as in /v1/predict",
+        "example": '{"x": -0.07, "y": 0, "angle": 0}',
+    },
+    "pushers": {"type": "string", "description": "or JSON, as in /v1/predict/batch", "example": "[[-0.075, 0, 0]]"},
+    "object_pose": {"type": "string", "description": "JSON, beside pusher", "example": '{"x": 0, "y": 0, "angle": 0}'},
+    "object_poses": {"type": "string", "description": "JSON, beside pushers", "example": "[[0, 0, 0]]"},
+    "model": {"type": "string", "description": "as in /v1/predict", "example": "push-visual"},
+}
+
+
+def _form(parts: dict[str, Any], *, also_images: bool = False) -> dict[str, Any]:
+    """A form in the OpenAPI document; such routes read bytes, so FastAPI knows of none."""
+    schema = {"type": "object", "properties": parts, "required": ["image"], "additionalProperties": False}
+    content: dict[str, Any] = {FORM_TYPE: {"schema": schema}}
+    if also_images:
+        content |= {kind: {"schema": {"type": "string", "format": "binary"}} for kind in IMAGE_TYPES}
+    return {"requestBody": {"required": True, "content": content}}
 
 
 class StrictJsonRequest(Request):
@@ -59,9 +95,13 @@ class StrictJsonRoute(APIRoute):
         takes_body = self.body_field is not None
 
         async def strict(request: Request) -> Response:
-            """Refuse what is no JSON before the framework sees it."""
+            """Refuse what is no JSON before the framework sees it, and before that who may not ask."""
             if not takes_body:
                 return await handler(request)
+            await may_predict(request)
+            await takes_json(request)
+            if "content-encoding" in request.headers:
+                raise UnsupportedMediaTypeError(_NO_ENCODING)
             if not _is_json(request.headers.get("content-type", "")):
                 accepted = "header Content-Type: received something else or nothing; accepted is application/json"
                 raise UnsupportedMediaTypeError(accepted)
@@ -72,25 +112,67 @@ class StrictJsonRoute(APIRoute):
         return strict
 
 
-router = APIRouter(route_class=StrictJsonRoute)
+router = APIRouter(route_class=StrictJsonRoute, dependencies=[Depends(takes_json)])
+uploads = APIRouter(dependencies=[Depends(takes_json)])
+health = APIRouter()
 
 
 @router.post(
     "/v1/predict",
     tags=["predict"],
     summary="Where does this object end up after this push, and how sure is that?",
-    responses=_problems(400, 404, 413, 415, 422, 503),
+    response_model=PredictResponse,
+    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
 )
-async def predict(request: Request, body: PredictRequest) -> PredictResponse:
-    """Predict one push. Runs in the event loop on purpose: it takes less time than handing it to a thread."""
-    context, reference, models = body.object_context(), body.reference(), snapshot_of(request)
-    model = models.find_default(context_kind_of(context)) if reference is None else models.find(reference)
-    name, version = model.manifest.name, model.manifest.version
-    request.state.log = {"model": name, "version": version}
-    return PredictResponse.of(name, version, model.predict_push(body.push(), context))
+async def predict(request: Request, body: PredictRequest) -> Response:
+    """Predict one push, in the object frame, or in the world when `object_pose` says where the object is."""
+    return respond(request, await _answer(request, predict_one, body))
 
 
-@router.get("/v1/models", tags=["models"], summary="What is served")
+@router.post(
+    "/v1/predict/batch",
+    tags=["predict"],
+    summary="The same for up to 10,000 pushes, of one object or of many",
+    response_model=BatchResponse,
+    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
+)
+async def predict_many(request: Request, body: BatchRequest) -> Response:
+    """Predict pushes in columns: one row each of pushers, mean and std. A row's answer depends on that row only."""
+    return respond(request, await _answer(request, predict_batch, body))
+
+
+@uploads.post(
+    "/v1/predict/image",
+    tags=["predict"],
+    summary="The same for the object in an image",
+    response_model=PredictResponse | BatchResponse,
+    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
+    openapi_extra=_form({**_IMAGE_PART, **_PUSH_PARTS}),
+)
+async def predict_image(request: Request) -> Response:
+    """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
+    upload = await _upload(request)
+    try:
+        return respond(request, await workers_of(request).run(predict_upload, snapshot_of(request), upload))
+    except ValidationError as error:
+        found = error.errors(include_url=False)
+        raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in found]) from error
+
+
+@uploads.post(
+    "/v1/contexts",
+    tags=["predict"],
+    summary="What does a model see of this image?",
+    responses=_problems(400, 406, 408, 413, 415, 422, 429, 503),
+    openapi_extra=_form(_IMAGE_PART, also_images=True),
+)
+async def make_context(request: Request) -> VisualContextBody:
+    """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
+    upload = await _upload(request)
+    return await workers_of(request).run(_visual_context, upload.image)
+
+
+@router.get("/v1/models", tags=["models"], summary="What is served", responses=_problems(406))
 async def list_models(request: Request) -> ModelsBody:
     """Every model that is served, with its versions and aliases."""
     models = snapshot_of(request)
@@ -98,14 +180,17 @@ async def list_models(request: Request) -> ModelsBody:
     return ModelsBody(models=[_model_body(models, name) for name in names])
 
 
-@router.get("/v1/models/{name}", tags=["models"], summary="One model", responses=_problems(404, 422))
+@router.get("/v1/models/{name}", tags=["models"], summary="One model", responses=_problems(404, 406, 422))
 async def show_model(request: Request, name: Name) -> ModelBody:
     """One model, with its versions and aliases."""
     return _model_body(snapshot_of(request), name)
 
 
 @router.get(
-    "/v1/models/{name}/versions/{version}", tags=["models"], summary="One version", responses=_problems(404, 422, 503)
+    "/v1/models/{name}/versions/{version}",
+    tags=["models"],
+    summary="One version",
+    responses=_problems(404, 406, 422, 503),
 )
 async def show_version(request: Request, name: Name, version: Version) -> ModelVersionDetailBody:
     """One version with its manifest (data, metrics, tensors with units, digests) and its card."""
@@ -116,13 +201,13 @@ async def show_version(request: Request, name: Name, version: Version) -> ModelV
     return ModelVersionDetailBody(name=name, version=version, aliases=aliases, manifest=manifest, card=model.card)
 
 
-@router.get("/livez", tags=["health"], summary="Does the process answer?")
+@health.get("/livez", tags=["health"], summary="Does the process answer?")
 async def live() -> LiveBody:
     """Always true: who can read it knows."""
     return LiveBody()
 
 
-@router.get(
+@health.get(
     "/readyz",
     tags=["health"],
     summary="Can predictions be answered?",
@@ -137,10 +222,27 @@ async def ready(request: Request, response: Response) -> ReadyBody:
     return ReadyBody(ready=bool(models.models), models=served, problems=list(models.problems))
 
 
-def snapshot_of(request: Request) -> Snapshot:
-    """What is served at this instant; a request uses one snapshot from beginning to end."""
-    snapshot: Snapshot = request.app.state.models.snapshot
-    return snapshot
+async def _upload(request: Request) -> Upload:
+    if "content-encoding" in request.headers:
+        raise UnsupportedMediaTypeError(_NO_ENCODING)
+    return await workers_of(request).run(read_upload, request.headers, await request.body())
+
+
+def _visual_context(content: bytes) -> VisualContextBody:
+    """Blocking: it decodes."""
+    image = decode(content)
+    context = visual_context(image)
+    return VisualContextBody(
+        visual=base64.b64encode(context.levels).decode(),
+        thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
+        flags=[flag.value for flag in quality_flags(image)],
+    )
+
+
+async def _answer(request: Request, predict: Callable[[Snapshot, P], Answer], body: P) -> Answer:
+    """Light work here, since a thread would cost more than it; the rest in a thread."""
+    models = snapshot_of(request)
+    return predict(models, body) if is_light(body) else await workers_of(request).run(predict, models, body)
 
 
 def _model_body(models: Snapshot, name: str) -> ModelBody:

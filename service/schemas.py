@@ -1,4 +1,4 @@
-"""Request and response bodies, to and from ``contract``: the one place where JSON meets the domain.
+"""What the service answers: the bodies of answers and errors.
 
 Every field carries its unit, an example and what it means; the OpenAPI document is made of these.
 """
@@ -6,13 +6,6 @@ Every field carries its unit, an example and what it means; the OpenAPI document
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
-
-from service.contract import INDICATOR_LENGTH, GaussianPose, ObjectContext, Pose
-from service.errors import FieldFault, InvalidRequestError
-from service.manifest import ModelReference
-
-REACH_M = 1.0  # a push is 50 mm: further from the object nothing can touch it
-_INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 
 _MODEL_EXAMPLE = {
     "name": "push-indicator",
@@ -29,161 +22,112 @@ _FAULT_EXAMPLE = {
 _DETAIL_EXAMPLE = "{where}: received {received}; accepted is {accepted}".format(**_FAULT_EXAMPLE)
 
 
-class _Body(BaseModel):
+class Body(BaseModel):
+    """What every body is: exact types, no unknown field, numbers finite."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, frozen=True)
 
 
-class PusherBody(_Body):
-    """The pusher tip's pose in the object frame, before the push."""
-
-    x: Annotated[
-        float, Field(ge=-REACH_M, le=REACH_M, description="position along the object's x axis, in m", examples=[-0.075])
-    ]
-    y: Annotated[
-        float, Field(ge=-REACH_M, le=REACH_M, description="position along the object's y axis, in m", examples=[0.0])
-    ]
-    angle: Annotated[
-        float,
-        Field(
-            description="direction of the push from the object's x axis, in rad; any real number, wrapped",
-            examples=[0.0],
-        ),
-    ]
-
-
-class ContextBody(_Body):
-    """What is known of the object: its descriptor or its indicator, exactly one of them."""
-
-    descriptor: Annotated[
-        str | None,
-        Field(
-            description="four sides, each a shape digit (1 concave, 2 triangular, 3 circular, 4 rectangular) and a "
-            "weight letter (a none, b 60 g, c 150 g; B 60 g, C 150 g in a triangle's second position)",
-            examples=["1a2b3c4a"],
-        ),
-    ] = None
-    indicator: Annotated[
-        list[float] | None,
-        Field(
-            min_length=INDICATOR_LENGTH,
-            max_length=INDICATOR_LENGTH,
-            description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
-            examples=[_INDICATOR_EXAMPLE],
-        ),
-    ] = None
-
-    def to_contract(self) -> ObjectContext:
-        """The object.
-
-        Raises:
-            InvalidRequestError: not exactly one form, or a side that cannot be one.
-        """
-        if self.descriptor is not None and self.indicator is None:
-            return ObjectContext.from_descriptor(self.descriptor, "body.context.descriptor")
-        if self.indicator is not None and self.descriptor is None:
-            return ObjectContext.from_indicator(self.indicator, "body.context.indicator")
-        received = "neither" if self.descriptor is None else "both"
-        raise InvalidRequestError([FieldFault("body.context", received, "exactly one of descriptor and indicator")])
-
-
-class PredictRequest(_Body):
-    """One push of one object: straight, at constant speed, 50 mm."""
-
-    model_config = ConfigDict(
-        extra="forbid",
-        strict=True,
-        allow_inf_nan=False,
-        frozen=True,
-        json_schema_extra={
-            "examples": [
-                {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}},
-            ]
-        },
-    )
-
-    pusher: PusherBody
-    context: Annotated[
-        ContextBody | None,
-        Field(
-            description="the object; left out for models that know nothing of it", examples=[{"descriptor": "1a2b3c4a"}]
-        ),
-    ] = None
-    model: Annotated[
-        str | None,
-        Field(
-            max_length=140,
-            description="name, name@alias or name@version; left out: the champion for this kind of context",
-            examples=["push-indicator", "push-indicator@champion", "push-indicator@1"],
-        ),
-    ] = None
-
-    def reference(self) -> ModelReference | None:
-        """The model that was asked for.
-
-        Raises:
-            InvalidRequestError: the text is no reference.
-        """
-        return None if self.model is None else ModelReference.parse(self.model, "body.model")
-
-    def object_context(self) -> ObjectContext | None:
-        """The object, where one was given.
-
-        Raises:
-            InvalidRequestError: not exactly one form, or a side that cannot be one.
-        """
-        return None if self.context is None else self.context.to_contract()
-
-    def push(self) -> Pose:
-        """The pusher pose, its angle wrapped."""
-        return Pose.wrapped(self.pusher.x, self.pusher.y, self.pusher.angle)
-
-
-class ModelVersionBody(_Body):
+class ModelVersionBody(Body):
     """Which model answered."""
 
     name: Annotated[str, Field(description="name in the registry", examples=["push-indicator"])]
     version: Annotated[int, Field(ge=1, description="version, immutable", examples=[1])]
 
 
-class MeanBody(_Body):
-    """Expected pose of the object after the push, in the object frame before it."""
+Frame = Annotated[
+    Literal["object", "world"],
+    Field(
+        description="of every pose in the answer: the object's pose before the push, or the world, when the request "
+        "said where the object is in it",
+        examples=["object"],
+    ),
+]
+
+
+class MeanBody(Body):
+    """Expected pose of the object after the push, in the frame of the answer."""
 
     x: Annotated[float, Field(description="in m", examples=[0.021])]
     y: Annotated[float, Field(description="in m", examples=[0.001])]
     angle: Annotated[float, Field(description="in rad, in (-pi, pi]", examples=[0.03])]
 
 
-class StdBody(_Body):
-    """Standard deviation of that pose; the three are independent."""
+class StdBody(Body):
+    """Standard deviation of that pose; in the object frame the three are independent."""
 
     x: Annotated[float, Field(gt=0, description="in m", examples=[0.002])]
     y: Annotated[float, Field(gt=0, description="in m", examples=[0.001])]
     angle: Annotated[float, Field(gt=0, description="in rad", examples=[0.02])]
 
 
-class PredictResponse(_Body):
+class PredictResponse(Body):
     """A Gaussian over the object's pose after the push."""
 
     model: ModelVersionBody
-    frame: Annotated[Literal["object"], Field(description="the object's pose before the push", examples=["object"])] = (
-        "object"
-    )
+    frame: Frame
     mean: MeanBody
     std: StdBody
-
-    @classmethod
-    def of(cls, name: str, version: int, gaussian: GaussianPose) -> "PredictResponse":
-        """The answer of a model version; its numbers are finite by the predictor's own check: none is checked again."""
-        mean, std = gaussian.mean, gaussian.std
-        return cls.model_construct(
-            model=ModelVersionBody.model_construct(name=name, version=version),
-            frame="object",
-            mean=MeanBody.model_construct(x=mean.x_m, y=mean.y_m, angle=mean.angle_rad),
-            std=StdBody.model_construct(x=std.x_m, y=std.y_m, angle=std.angle_rad),
-        )
+    covariance: Annotated[
+        list[list[float]] | None,
+        Field(
+            description="3 x 3, of x, y, angle in m and rad; in the world frame only, where x and y may go together",
+            examples=[[[4e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 4e-4]]],
+        ),
+    ] = None
 
 
-class ModelBody(_Body):
+class BatchResponse(Body):
+    """A Gaussian over the object's pose after each push, in the order of the request."""
+
+    model: ModelVersionBody
+    frame: Frame
+    mean: Annotated[
+        list[list[float]],
+        Field(
+            description="x, y, angle in m, m, rad for each push, angle in (-pi, pi]", examples=[[[0.021, 0.001, 0.03]]]
+        ),
+    ]
+    std: Annotated[
+        list[list[float]],
+        Field(description="standard deviations in m, m, rad for each push", examples=[[[0.002, 0.001, 0.02]]]),
+    ]
+    covariance: Annotated[
+        list[list[list[float]]] | None,
+        Field(
+            description="3 x 3 for each push, of x, y, angle in m and rad; in the world frame only",
+            examples=[[[[4e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 4e-4]]]],
+        ),
+    ] = None
+
+
+class VisualContextBody(Body):
+    """What a model sees of an image, to be used again, and what looks wrong in it."""
+
+    visual: Annotated[
+        str,
+        Field(
+            description="base64 of 1,024 grey levels, row by row: the field visual of a context",
+            examples=["AAAA" * 341 + "AA=="],
+        ),
+    ]
+    thumbnail_png: Annotated[
+        str,
+        Field(
+            description="base64 of a PNG of 256 x 256 pixels: what the model sees, to be looked at",
+            examples=["iVBORw0KGgo="],
+        ),
+    ]
+    flags: Annotated[
+        list[str],
+        Field(
+            description="what looks wrong: blank, clipped, off_centre, several_objects; then do not trust it far",
+            examples=[["off_centre"]],
+        ),
+    ]
+
+
+class ModelBody(Body):
     """A model as it is served now."""
 
     name: Annotated[str, Field(description="name in the registry", examples=["push-indicator"])]
@@ -193,13 +137,13 @@ class ModelBody(_Body):
     aliases: Annotated[dict[str, int], Field(description="what each alias means", examples=[{"champion": 2}])]
 
 
-class ModelsBody(_Body):
+class ModelsBody(Body):
     """Every model that is served."""
 
     models: Annotated[list[ModelBody], Field(description="sorted by name", examples=[[_MODEL_EXAMPLE]])]
 
 
-class ModelVersionDetailBody(_Body):
+class ModelVersionDetailBody(Body):
     """One version: its manifest and its card."""
 
     name: Annotated[str, Field(description="name in the registry", examples=["push-indicator"])]
@@ -215,13 +159,13 @@ class ModelVersionDetailBody(_Body):
     card: Annotated[str, Field(description="the model card, Markdown", examples=["# push-indicator\n"])]
 
 
-class LiveBody(_Body):
+class LiveBody(Body):
     """The process answers."""
 
     live: Annotated[Literal[True], Field(description="always true", examples=[True])] = True
 
 
-class ReadyBody(_Body):
+class ReadyBody(Body):
     """Whether predictions can be answered, and what is wrong with the registry where something is."""
 
     ready: Annotated[bool, Field(description="at least one model passed all checks and is served", examples=[True])]
@@ -235,7 +179,7 @@ class ReadyBody(_Body):
     ]
 
 
-class FaultBody(_Body):
+class FaultBody(Body):
     """One fault in a request."""
 
     where: Annotated[str, Field(description="the field", examples=["body.context.indicator side 3"])]
@@ -243,7 +187,7 @@ class FaultBody(_Body):
     accepted: Annotated[str, Field(description="what would be taken", examples=["exactly one shape of 1, 2, 3, 4"])]
 
 
-class ProblemBody(_Body):
+class ProblemBody(Body):
     """An error, as RFC 9457 has it; the body that was sent is never repeated."""
 
     type: Annotated[

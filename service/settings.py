@@ -1,5 +1,6 @@
 """What the operator decides, from the environment: every setting is ``CAZSL_<NAME>``, with a default that works."""
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -28,7 +29,31 @@ class Settings(BaseSettings):
     ] = 8
     max_body_bytes: Annotated[
         int, Field(ge=1024, le=1 << 30, description="largest request body, in bytes, declared or chunked")
-    ] = 1 << 20
+    ] = 12 << 20
+    body_timeout_s: Annotated[
+        float, Field(gt=0, le=3600, description="how long the head of a request, and then its body, may take, in s")
+    ] = 10.0
+    max_held_bytes: Annotated[
+        int, Field(ge=1 << 20, le=1 << 40, description="bytes of request bodies held at once, over all requests")
+    ] = 256 << 20
+    max_in_flight: Annotated[int, Field(ge=1, le=100_000, description="requests answered at once; more get a 503")] = (
+        256
+    )
+    max_in_flight_per_caller: Annotated[
+        int,
+        Field(
+            ge=0, le=100_000, description="the same per API key, or per address without keys; more get a 429; 0: none"
+        ),
+    ] = 0
+    max_waiting: Annotated[
+        int, Field(ge=0, le=100_000, description="large batches and images that wait for a thread; more get a 503")
+    ] = 64
+    deadline_s: Annotated[
+        float, Field(gt=0, le=3600, description="how long a large batch or image may take, waiting included, in s")
+    ] = 10.0
+    keys: Annotated[
+        Path | None, Field(description="the file of API keys, re-read when it changes; without it no key is needed")
+    ] = None
     grace_s: Annotated[
         int, Field(ge=0, le=3600, description="how long running requests may take after SIGTERM, in s")
     ] = 20

@@ -28,10 +28,8 @@ def first_version(project_root: Path) -> Manifest:
 
 
 def test_the_changelog_begins_with_this_version(project_root: Path) -> None:
-    """The top entry is the version of the code, below what is not released yet."""
-    found = re.search(
-        r"^## \[(?!Unreleased\])(.+?)\]", (project_root / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE
-    )
+    """The top entry that is released is the version of the code."""
+    found = re.search(r"^## \[(\d.*?)\]", (project_root / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert found is not None
     assert found[1] == service.__version__
 

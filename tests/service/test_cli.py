@@ -45,7 +45,7 @@ def test_predict_prints_what_the_service_would_answer(shipped: Path) -> None:
     [
         (["1a2b3c", "--", "0", "0", "0"], "8 characters"),
         (["1a2b3c4a", "--", "nan", "0", "0"], "x: Input should be"),
-        (["1a2b3c4a", "--", "5", "0", "0"], "x: Input should be"),
+        (["1a2b3c4a", "--", "5", "0", "0"], "body.pusher.x: received 5 m"),
         (["1a2b3c4a", "--model", "nobody", "--", "0", "0", "0"], "there is no model nobody"),
         (["1a2b3c4a", "--model", "../x", "--", "0", "0", "0"], "accepted is name"),
     ],

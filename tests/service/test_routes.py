@@ -99,8 +99,12 @@ FAULTS = {
     "x as truth": ({"pusher": {**PUSHER, "x": True}}, "body.pusher.x", "true or false"),
     "x too far": ({"pusher": {**PUSHER, "x": 1.5}}, "body.pusher.x", "1.5"),
     "unknown field": ({"pusher": {**PUSHER, "yaw": 1}}, "body.pusher", "the field yaw"),
-    "no context form": ({"pusher": PUSHER, "context": {}}, "body.context", "neither"),
-    "both forms": ({"pusher": PUSHER, "context": {**OBJECT, "indicator": INDICATOR}}, "body.context", "both"),
+    "no context form": ({"pusher": PUSHER, "context": {}}, "body.context", "no form"),
+    "both forms": (
+        {"pusher": PUSHER, "context": {**OBJECT, "indicator": INDICATOR}},
+        "body.context",
+        "descriptor and indicator",
+    ),
     "35 bits": ({"pusher": PUSHER, "context": {"indicator": INDICATOR[:35]}}, "body.context.indicator", "35 values"),
     "37 bits": ({"pusher": PUSHER, "context": {"indicator": [*INDICATOR, 0]}}, "body.context.indicator", "37 values"),
     "two shapes": (

@@ -12,7 +12,7 @@ def test_nothing_configured_is_a_working_configuration() -> None:
     """Loopback, the registry beside the project, a bounded body."""
     settings = Settings()
     assert (settings.host, settings.port, settings.registry) == ("127.0.0.1", 8000, "models")
-    assert settings.max_body_bytes == 1 << 20
+    assert settings.max_body_bytes == 12 << 20
 
 
 def test_the_environment_decides(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,12 +1,21 @@
 """Request ids and the line that every request leaves in the log."""
 
+import asyncio
+import io
 import json
 import logging
+from collections.abc import Iterator
+from datetime import datetime
+from typing import Any
 
 import pytest
 from fastapi.testclient import TestClient
 
-from service.telemetry import configure_logging
+from service.app import create_app
+from service.loaded_models import LoadedModels
+from service.registry import Registry
+from service.settings import Settings
+from service.telemetry import RequestLog, configure_logging
 
 BODY = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}
 
@@ -30,31 +39,77 @@ def test_two_requests_have_two_ids(client: TestClient) -> None:
     assert client.get("/livez").headers["x-request-id"] != client.get("/livez").headers["x-request-id"]
 
 
-def test_a_request_leaves_one_line_with_its_model(client: TestClient, caplog: pytest.LogCaptureFixture) -> None:
-    """Method, route, status, duration, model and version, and nothing of the body."""
-    with caplog.at_level(logging.INFO, logger="service.telemetry"):
-        client.post("/v1/predict", json=BODY, headers={"X-Request-ID": "one"})
-    (line,) = [record for record in caplog.records if record.name == "service.telemetry"]
-    found = vars(line)
-    assert (found["request_id"], found["method"], found["route"], found["status"]) == (
-        "one",
-        "POST",
-        "/v1/predict",
-        200,
-    )
-    assert (found["model"], found["version"]) == ("push-indicator", 1)
-    assert found["duration_ms"] >= 0.0
-    assert "1a2b3c4a" not in str(found)
+@pytest.fixture
+def written() -> io.StringIO:
+    """Where the lines of requests go."""
+    return io.StringIO()
 
 
-def test_a_route_that_does_not_exist_is_logged_without_its_path(
-    client: TestClient, caplog: pytest.LogCaptureFixture
-) -> None:
-    """Paths come from the network; the log has the route's template only."""
-    with caplog.at_level(logging.INFO, logger="service.telemetry"):
-        client.get("/secret-token-in-a-path")
-    (line,) = [record for record in caplog.records if record.name == "service.telemetry"]
-    assert "secret-token" not in str(vars(line))
+@pytest.fixture
+def logged(served: tuple[Registry, LoadedModels], written: io.StringIO) -> Iterator[TestClient]:
+    """The app, writing there; leaving it writes what is not written yet."""
+    level = logging.getLogger("service.telemetry").level
+    logging.getLogger("service.telemetry").setLevel(logging.INFO)
+    app = create_app(Settings(poll_interval_s=3600), served[1], RequestLog(written))
+    with TestClient(app, raise_server_exceptions=False) as found:
+        yield found
+    logging.getLogger("service.telemetry").setLevel(level)
+
+
+def lines(client: TestClient, written: io.StringIO) -> list[dict[str, Any]]:
+    """What was written, once the app has ended in order."""
+    client.__exit__()
+    return [json.loads(line) for line in written.getvalue().splitlines()]
+
+
+@pytest.mark.parametrize("content_type", ["application/json", "application/json; charset=utf-8"], ids=["fast", "slow"])
+def test_a_request_leaves_one_line_with_its_model(logged: TestClient, written: io.StringIO, content_type: str) -> None:
+    """Method, route, status, duration, model and version, and nothing of the body; whichever way it went."""
+    headers = {"X-Request-ID": "one", "Content-Type": content_type}
+    logged.post("/v1/predict", content=json.dumps(BODY), headers=headers)
+    (found,) = lines(logged, written)
+    assert datetime.fromisoformat(found.pop("time")).tzinfo is not None
+    assert found.pop("duration_ms") >= 0.0
+    assert found == {
+        "level": "INFO",
+        "logger": "service.telemetry",
+        "message": "request",
+        "request_id": "one",
+        "method": "POST",
+        "route": "/v1/predict",
+        "status": 200,
+        "model": "push-indicator",
+        "version": 1,
+        "pushes": 1,
+    }
+
+
+def test_a_route_that_does_not_exist_is_logged_without_its_path(logged: TestClient, written: io.StringIO) -> None:
+    """Paths come from the network; the log has the route's template only. Health is not logged at all."""
+    logged.get("/secret-token-in-a-path")
+    logged.get("/livez")
+    (found,) = lines(logged, written)
+    assert (found["route"], found["status"]) == ("unknown", 404)
+    assert "secret-token" not in written.getvalue()
+
+
+def test_lines_are_written_soon_and_many_at_once() -> None:
+    """A moment after the first of them, or when there are many; each is a line of its own."""
+
+    async def scenario() -> None:
+        stream = io.StringIO()
+        log = RequestLog(stream)
+        log.add({"status": 1})
+        log.add({"status": 2})
+        assert stream.getvalue() == ""
+        while not stream.getvalue():
+            await asyncio.sleep(0.01)
+        assert [json.loads(line)["status"] for line in stream.getvalue().splitlines()] == [1, 2]
+        for number in range(1000):
+            log.add({"status": number})
+        assert len(stream.getvalue().splitlines()) > 500
+
+    asyncio.run(scenario())
 
 
 def test_logs_are_json_lines(capfd: pytest.CaptureFixture[str]) -> None:

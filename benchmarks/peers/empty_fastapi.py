@@ -1,0 +1,29 @@
+"""(a) An empty FastAPI endpoint with our schemas: parses the same request, renders the same answer."""
+
+import sys
+
+import uvicorn
+from fastapi import FastAPI
+
+from service.requests import PredictRequest
+from service.schemas import PredictResponse
+
+ANSWER = PredictResponse.model_validate(
+    {
+        "model": {"name": "push-indicator", "version": 1},
+        "frame": "object",
+        "mean": {"x": 0.026867030516266823, "y": 0.000977544579654932, "angle": 0.04581319913268089},
+        "std": {"x": 0.004548678174614906, "y": 0.0024233844596892595, "angle": 0.1610754281282425},
+    }
+)
+app = FastAPI()
+
+
+@app.post("/v1/predict")
+async def predict(body: PredictRequest) -> PredictResponse:
+    """Predict nothing."""
+    return ANSWER
+
+
+if __name__ == "__main__":
+    uvicorn.run(app, port=int(sys.argv[1]), log_config=None, access_log=False, server_header=False)

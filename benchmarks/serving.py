@@ -1,0 +1,329 @@
+"""What our service gives beside others: single pushes, batches, pushes while images are decoded, start and memory.
+
+    python benchmarks/serving.py [--rounds 7] [--seconds 2] [--peer litserve=PYTHON] [--peer robyn=PYTHON]
+
+All servers run at once on loopback, one process each (whatever that process starts is counted with it), and are asked
+in turn, round by round, with wrk: a machine whose speed drifts, drifts for all. Printed are medians over the rounds,
+the processor time that a request cost the server, which a busy machine disturbs less than its throughput, and ratios. A
+peer is a script in benchmarks/peers, run by the interpreter of an environment in which it is installed.
+"""
+
+import argparse
+import http.client
+import io
+import json
+import os
+import re
+import shutil
+import signal
+import socket
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from service.contract import ContextKind, ObjectContext
+from service.predictor import OnnxPredictor
+
+ROOT = Path(__file__).resolve().parent.parent
+PUSH = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'
+OURS = ["-c", "from service.cli import main; main()", "serve"]
+ROWS = 1000
+CONNECTIONS = 16
+TICKS = os.sysconf("SC_CLK_TCK")
+REPORT = """
+done = function(summary, latency, requests)
+  local failed = summary.errors.status + summary.errors.connect + summary.errors.read + summary.errors.timeout
+  io.write(string.format("FIGURES %d %d %d %d %d\\n", latency:percentile(50), latency:percentile(99),
+    summary.requests, summary.duration, failed))
+end
+"""
+
+
+@dataclass(frozen=True)
+class Load:
+    """What is asked: a path, a body and its headers."""
+
+    path: str
+    body: bytes
+    headers: dict[str, str]
+
+    def script(self, folder: Path, name: str) -> Path:
+        """The script that makes wrk ask this."""
+        (folder / f"{name}.body").write_bytes(self.body)
+        lines = [f'wrk.headers["{header}"] = "{value}"' for header, value in self.headers.items()]
+        lines += ['wrk.method = "POST"', f'wrk.body = io.open("{folder / name}.body", "rb"):read("*a")', REPORT]
+        (folder / f"{name}.lua").write_text("\n".join(lines))
+        return folder / f"{name}.lua"
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One run of wrk."""
+
+    p50_us: float
+    p99_us: float
+    requests_per_s: float
+    cpu_us: float  # of the server, per request
+
+
+@dataclass(frozen=True)
+class Server:
+    """A server process on a port."""
+
+    process: subprocess.Popen[bytes]
+    port: int
+
+    def cpu_s(self) -> float:
+        """Processor time of the process and of all that it started."""
+        return sum(cpu_s(pid) for pid in descendants(self.process.pid))
+
+    def rss_mib(self) -> float:
+        """Memory that the process holds."""
+        return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def cpu_s(pid: int) -> float:
+    """User and system time of one process, all threads."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / TICKS
+
+
+def descendants(pid: int) -> list[int]:
+    """A process and those that it started, and so on."""
+    found = [pid]
+    for task in Path(f"/proc/{pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            found += descendants(int(child))
+    return found
+
+
+@contextmanager
+def server(command: list[str], port: int) -> Iterator[Server]:
+    """A server process, from its first answer to its end."""
+    environment = {**os.environ, "CAZSL_PORT": str(port), "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(
+        command,
+        cwd=ROOT,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        for _ in range(1200):
+            if process.poll() is None and answers(port):
+                break
+            time.sleep(0.05)
+        else:
+            raise SystemExit(f"nothing answers: {' '.join(command)}")
+        yield Server(process, port)
+    finally:
+        process.terminate()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(10)
+        with suppress(ProcessLookupError):  # some peers leave children behind, or wait for them for ever
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+
+
+def answers(port: int) -> bool:
+    """Whether a prediction is answered."""
+    try:
+        connection = http.client.HTTPConnection("127.0.0.1", port, timeout=5)
+        connection.request("POST", "/v1/predict", PUSH, {"Content-Type": "application/json"})
+        return connection.getresponse().status == 200
+    except OSError:
+        return False
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def wrk(script: Path, url: str, connections: int, seconds: int) -> list[str]:
+    """The command that asks."""
+    return ["wrk", "-t1", f"-c{connections}", f"-d{seconds}s", "-s", str(script), url]
+
+
+def ask(target: Server, script: Path, path: str, connections: int, seconds: int) -> Figures:
+    """One run of wrk, all answers being 200."""
+    before = target.cpu_s()
+    command = wrk(script, f"http://127.0.0.1:{target.port}{path}", connections, seconds)
+    output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    used = target.cpu_s() - before
+    found = re.search(r"FIGURES (\d+) (\d+) (\d+) (\d+) (\d+)", output)
+    if found is None or int(found[5]):
+        raise SystemExit(f"wrk saw failed requests:\n{output}")
+    requests = int(found[3])
+    return Figures(float(found[1]), float(found[2]), requests / (int(found[4]) / 1e6), used / requests * 1e6)
+
+
+def median(runs: list[Figures], field: str) -> float:
+    """Of one figure over the rounds."""
+    return float(statistics.median(getattr(run, field) for run in runs))
+
+
+def pushes() -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+    """Pushes around an object."""
+    return np.random.default_rng(0).uniform(-0.1, 0.1, (ROWS, 3)).astype(np.float32)
+
+
+def bare_runtime() -> Callable[[], float]:
+    """Pushes per second of the graph alone, in this process, one thread."""
+    predictor = OnnxPredictor((ROOT / "models/push-indicator/1/model.onnx").read_bytes(), ContextKind.INDICATOR)
+    rows, context = pushes(), ObjectContext.from_descriptor("1a2b3c4a").tensor()[None]
+    index = np.zeros(ROWS, dtype=np.int64)
+
+    def measure() -> float:
+        began, runs = time.perf_counter(), 0
+        while time.perf_counter() - began < 1.0:
+            predictor.predict(rows, context, index)
+            runs += 1
+        return runs * ROWS / (time.perf_counter() - began)
+
+    return measure
+
+
+def batch_loads() -> dict[str, Load]:
+    """A thousand pushes of one object, as JSON and as tensors."""
+    rows = pushes()
+    shortest = [[float(str(x)) for x in row] for row in rows]
+    body = json.dumps({"pushers": shortest, "contexts": [{"descriptor": "1a2b3c4a"}]})
+    context = ObjectContext.from_descriptor("1a2b3c4a").tensor()[None]
+    tensors = [("pusher", "FP32", rows), ("context", "FP32", context)]
+    inputs = [
+        {"name": name, "datatype": kind, "shape": list(array.shape), "parameters": {"binary_data_size": array.nbytes}}
+        for name, kind, array in tensors
+    ]
+    head = json.dumps({"inputs": inputs, "parameters": {"binary_data_output": True}}).encode()
+    raw = head + b"".join(array.tobytes() for _, _, array in tensors)
+    return {
+        "JSON": Load("/v1/predict/batch", body.encode(), {"Content-Type": "application/json"}),
+        "binary, /v2": Load(
+            "/v2/models/push-indicator/infer", raw, {"Inference-Header-Content-Length": str(len(head))}
+        ),
+    }
+
+
+def image_load() -> Load:
+    """A photograph of two megapixels, to be converted."""
+    levels = np.random.default_rng(0).integers(0, 256, (1200, 1600, 3), dtype=np.uint8)
+    buffer = io.BytesIO()
+    Image.fromarray(levels).save(buffer, "JPEG")
+    return Load("/v1/contexts", buffer.getvalue(), {"Content-Type": "image/jpeg"})
+
+
+def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds: int) -> None:
+    """Every server in turn, one push a request."""
+    script = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
+    runs: dict[str, list[Figures]] = {name: [] for name in servers}
+    for _ in range(rounds):
+        for name, target in servers.items():
+            runs[name].append(ask(target, script, "/v1/predict", CONNECTIONS, seconds))
+    empty = runs["(a) empty FastAPI endpoint, same schemas"]
+    print(f"\n## Single pushes, {CONNECTIONS} connections\n")
+    print("| server | requests/s | times (a) | processor us per request | times less than (a) | p50 (ms) | p99 (ms) |")
+    print("|---|---|---|---|---|---|---|")
+    for name, figures in runs.items():
+        ratio = statistics.median(o.requests_per_s / e.requests_per_s for o, e in zip(figures, empty, strict=True))
+        less = statistics.median(e.cpu_us / o.cpu_us for o, e in zip(figures, empty, strict=True))
+        print(
+            f"| {name} | {median(figures, 'requests_per_s'):.0f} | {ratio:.2f} | {median(figures, 'cpu_us'):.0f} "
+            f"| {less:.2f} | {median(figures, 'p50_us') / 1e3:.2f} | {median(figures, 'p99_us') / 1e3:.2f} |"
+        )
+
+
+def batches(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
+    """A thousand pushes a request, beside the runtime alone."""
+    loads, runtime = batch_loads(), bare_runtime()
+    alone: list[float] = []
+    runs: dict[str, list[Figures]] = {name: [] for name in loads}
+    for _ in range(rounds):
+        alone.append(runtime())
+        for number, (name, load) in enumerate(loads.items()):
+            runs[name].append(ask(ours, load.script(folder, f"batch{number}"), load.path, 2, seconds))
+    print(f"\n## Batches of {ROWS} pushes of one object, 2 connections\n")
+    print("| | pushes/s | of the bare runtime |")
+    print("|---|---|---|")
+    print(f"| bare runtime in process, one thread | {statistics.median(alone):.0f} | 1.00 |")
+    for name, figures in runs.items():
+        ratio = statistics.median(run.requests_per_s * ROWS / one for run, one in zip(figures, alone, strict=True))
+        print(f"| ours, {name} | {median(figures, 'requests_per_s') * ROWS:.0f} | {ratio:.2f} |")
+
+
+def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
+    """Single pushes on one connection while two others upload photographs, and while they do not."""
+    push = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
+    load = image_load()
+    upload = wrk(load.script(folder, "image"), f"http://127.0.0.1:{ours.port}{load.path}", 2, seconds + 1)
+    runs: dict[str, list[Figures]] = {"idle": [], "while images are decoded": []}
+    for _ in range(rounds):
+        runs["idle"].append(ask(ours, push, "/v1/predict", 1, seconds))
+        uploading = subprocess.Popen(upload, stdout=subprocess.DEVNULL)
+        time.sleep(0.5)
+        runs["while images are decoded"].append(ask(ours, push, "/v1/predict", 1, seconds))
+        uploading.wait()
+    print("\n## Single pushes while images are decoded, 1 connection\n\n| | p50 (ms) | p99 (ms) |\n|---|---|---|")
+    for name, figures in runs.items():
+        print(f"| {name} | {median(figures, 'p50_us') / 1e3:.2f} | {median(figures, 'p99_us') / 1e3:.2f} |")
+
+
+def start(rounds: int) -> None:
+    """How long a service takes to its first answer, and what it holds then."""
+    times, memory = [], []
+    for _ in range(rounds):
+        began = time.perf_counter()
+        with server([sys.executable, *OURS], free_port()) as found:
+            times.append(time.perf_counter() - began)
+            memory.append(found.rss_mib())
+    print("\n## Start\n\n| | median |\n|---|---|")
+    print(f"| to the first answer | {statistics.median(times):.2f} s |")
+    print(f"| memory then | {statistics.median(memory):.0f} MiB |")
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=int, default=2, help="length of one run of wrk")
+    parser.add_argument("--rounds", type=int, default=7, help="runs of each")
+    parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON", help="litserve or robyn")
+    options = parser.parse_args()
+    if shutil.which("wrk") is None:
+        raise SystemExit("wrk is not installed; apt-get install wrk")
+    peers = ROOT / "benchmarks" / "peers"
+    commands = {
+        "ours": [sys.executable, *OURS],
+        "(a) empty FastAPI endpoint, same schemas": [sys.executable, str(peers / "empty_fastapi.py")],
+        "(b) thirty lines of FastAPI and onnxruntime": [sys.executable, str(peers / "thirty_lines.py")],
+        "(c) bare ASGI function, constant bytes": [sys.executable, str(peers / "bare_asgi.py")],
+    }
+    for peer in options.peer:
+        name, _, python = peer.partition("=")
+        commands[name] = [python, str(peers / f"{name}_peer.py")]
+    with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
+        folder, servers = Path(temporary), {}
+        for name, command in commands.items():
+            port = free_port()
+            own = command if name == "ours" else [*command, str(port)]
+            servers[name] = stack.enter_context(server(own, port))
+        print(f"{options.rounds} rounds of {options.seconds} s, {os.cpu_count()} processors, medians; asked by wrk.")
+        single_pushes(servers, folder, options.rounds, options.seconds)
+        batches(servers["ours"], folder, options.rounds, options.seconds)
+        during_images(servers["ours"], folder, options.rounds, options.seconds)
+    start(options.rounds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,91 @@
+"""A connection of uvicorn's, bounded where uvicorn is patient: the head of a request, in time and in bytes.
+
+Without these bounds a client holds a connection for ever by sending its headers slowly, or memory by sending them
+without end. What cannot be read as HTTP is answered as a problem, like every other failure.
+"""
+
+import asyncio
+from http import HTTPStatus
+from typing import Any, Final
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from service.problems import MEDIA_TYPE, problem_body
+
+MAX_HEAD_BYTES: Final = 64 * 1024
+
+
+class BoundedConnection(HttpToolsProtocol):
+    """HTTP/1.1 whose heads arrive in time and are of bounded size."""
+
+    head_s = 10.0
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Begin to look at the clock."""
+        super().connection_made(transport)
+        self._head_bytes = 0
+        self._waits_since: float | None = self.loop.time()  # for the end of a head; None while a request is answered
+        self._look()
+
+    def data_received(self, data: bytes) -> None:
+        """Read, and count what is read of a head."""
+        super().data_received(data)
+        if self._waits_since is None:
+            return
+        self._head_bytes += len(data)
+        if self._head_bytes > MAX_HEAD_BYTES:
+            self._refuse(
+                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
+                "head_too_large",
+                f"head: received more than {MAX_HEAD_BYTES} bytes of request line and headers; accepted is less",
+            )
+
+    def on_message_begin(self) -> None:
+        """A head begins."""
+        super().on_message_begin()
+        self._head_bytes = 0
+        if self._waits_since is None:
+            self._waits_since = self.loop.time()
+
+    def on_headers_complete(self) -> None:
+        """The head is whole."""
+        self._waits_since = None
+        super().on_headers_complete()
+
+    def on_response_complete(self) -> None:
+        """The next head is waited for; until its first byte uvicorn's own keep-alive bounds that."""
+        self._head_bytes = 0
+        self._waits_since = self.loop.time()
+        super().on_response_complete()
+
+    def send_400_response(self, msg: str) -> None:
+        """Answer what is no HTTP."""
+        self._refuse(HTTPStatus.BAD_REQUEST, "malformed_request", "received what is no HTTP/1.1; accepted is that")
+
+    def _look(self) -> None:
+        """End the connection when its head is late; look again later otherwise."""
+        if self.transport.is_closing():
+            return
+        left = self.head_s if self._waits_since is None else self._waits_since + self.head_s - self.loop.time()
+        if left > 0.0:
+            self.loop.call_later(left + 0.01, self._look)
+            return
+        detail = f"head: received a part of it in {self.head_s:g} s; accepted is all of it in {self.head_s:g} s"
+        self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)
+
+    def _refuse(self, status: HTTPStatus, code: str, detail: str) -> None:
+        """Write a problem and close: there is no request yet that an application could answer."""
+        if self.transport.is_closing():
+            return
+        body = problem_body(status, code, status.phrase, detail)
+        head = (
+            f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-type: {MEDIA_TYPE}\r\n"
+            f"content-length: {len(body)}\r\nconnection: close\r\n\r\n"
+        )
+        self.transport.write(head.encode("ascii") + body)
+        self.transport.close()
+
+
+def bounded_connection(head_s: float) -> type[Any]:
+    """The class of connections whose heads may take so long; uvicorn makes them itself."""
+    return type("Connection", (BoundedConnection,), {"head_s": head_s})

@@ -1,0 +1,120 @@
+"""The short way to a prediction: from bytes to bytes without the web framework's machinery.
+
+It answers what is in order, and nothing else: a request with an unusual header, a fault, or a model that is not there
+goes on to the framework's routes as if this room did not exist, and they say what is wrong. The short way validates
+with the same schemas, asks the same functions and holds the same bounds, so a test can demand that both give the same
+bytes for every request.
+"""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from pydantic import ValidationError
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.errors import CazslError
+from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer
+from service.intake import WholeBody
+from service.keys import Keys
+from service.keys import Scope as KeyScope
+from service.loaded_models import LoadedModels, Snapshot
+from service.predictions import Answer, is_light, predict_batch, predict_one
+from service.requests import BatchRequest, PredictRequest
+from service.workers import Workers
+
+_PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """How the bodies of one route are read and answered."""
+
+    route: str
+    parse: Callable[[bytes], Any]
+    predict: Callable[[Snapshot, Any], Answer]
+
+    def answer(self, models: Snapshot, content: bytes) -> Answer:
+        """All of it in one go, for a thread."""
+        return self.predict(models, self.parse(content))
+
+
+DOORS: Final = {
+    door.route: door
+    for door in (
+        Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one),
+        Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
+    )
+}
+_INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")
+_INFER_ROUTES: Final = ("/v2/models/{name}/infer", "/v2/models/{name}/versions/{version}/infer")
+
+
+class FastPath:
+    """Answers plain predictions; passes on everything else."""
+
+    def __init__(self, app: ASGIApp, models: LoadedModels, workers: Workers, keys: Keys) -> None:
+        self._app = app
+        self._models = models
+        self._workers = workers
+        self._keys = keys
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        door = self._door(scope) if scope["type"] == "http" and scope["method"] == "POST" else None
+        if door is None:
+            await self._app(scope, receive, send)
+            return
+        content = (await receive())["body"]  # whole: the intake saw to it
+        try:
+            answer = await self._answer(door, content)
+        except (ValidationError, CazslError):
+            await self._app(scope, WholeBody(content, receive), send)
+            return
+        scope["state"]["log"] = answer.log() | {"route": door.route}
+        headers = [(b"content-length", b"%d" % len(answer.content)), *answer.headers]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        await send({"type": "http.response.body", "body": answer.content})
+
+    async def _answer(self, door: Door, content: bytes) -> Answer:
+        models = self._models.snapshot
+        if len(content) > LIGHT_BYTES:
+            return await self._workers.run(door.answer, models, content)
+        request = door.parse(content)
+        if is_light(request):
+            return door.predict(models, request)
+        return await self._workers.run(door.predict, models, request)
+
+    def _door(self, scope: Scope) -> Door | None:
+        """The way in for this path, when the headers ask for nothing that needs a second look."""
+        path = scope["path"]
+        door = DOORS.get(path)
+        asked = _INFER_PATH.fullmatch(path) if door is None else None
+        if door is None and asked is None:
+            return None
+        declared = door is None  # /v2 reads bytes, however they are declared
+        authorization = header_length = None
+        for name, value in scope["headers"]:
+            if name == b"content-type":
+                declared = declared or value == b"application/json"
+            elif name == b"authorization":
+                authorization = value
+            elif name == LENGTH_HEADER.encode():
+                header_length = value.decode("latin-1")
+            elif name == b"content-encoding" or (name == b"accept" and door and value not in _PLAIN_ACCEPT):
+                return None
+        if not declared or not self._admits(authorization):
+            return None
+        if asked is None:
+            return door
+        model, version = asked["model"], asked["version"]
+        route = _INFER_ROUTES[version is not None]
+        return Door(route, lambda content: InferRequest(model, version, header_length, content), infer)
+
+    def _admits(self, authorization: bytes | None) -> bool:
+        try:
+            self._keys.admit(authorization, KeyScope.PREDICT)
+        except CazslError:
+            return False
+        return True

@@ -1,0 +1,110 @@
+"""What is known of an object, as clients tell it: text, bits, levels or a picture, to ``contract``."""
+
+import base64
+import binascii
+import math
+from typing import Annotated, Final
+
+import numpy as np
+from pydantic import Field
+
+from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
+from service.errors import FieldFault, InvalidRequestError
+from service.images import decode, visual_context
+from service.schemas import Body
+
+_INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+_VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
+
+
+class ContextBody(Body):
+    """What is known of the object, in exactly one form."""
+
+    descriptor: Annotated[
+        str | None,
+        Field(
+            description="four sides, each a shape digit (1 concave, 2 triangular, 3 circular, 4 rectangular) and a "
+            "weight letter (a none, b 60 g, c 150 g; B 60 g, C 150 g in a triangle's second position)",
+            examples=["1a2b3c4a"],
+        ),
+    ] = None
+    indicator: Annotated[
+        list[float] | None,
+        Field(
+            min_length=INDICATOR_LENGTH,
+            max_length=INDICATOR_LENGTH,
+            description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
+            examples=[_INDICATOR_EXAMPLE],
+        ),
+    ] = None
+    visual: Annotated[
+        str | list[list[float]] | None,
+        Field(
+            description="the visual context itself: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
+            "in [0, 1]; POST /v1/contexts makes one of an image",
+            examples=["AAAA" * (_VISUAL_TEXT_LENGTH // 4 - 1) + "AA=="],
+        ),
+    ] = None
+
+    image: Annotated[
+        str | None,
+        Field(
+            description="base64 of a top-down view as PNG, JPEG or WebP, converted to the visual context; POST "
+            "/v1/predict/image takes the file as it is",
+            examples=["iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAADElEQVR4nGNgGLkAAAQgAAE7AAEAAAAASUVORK5CYII="],
+        ),
+    ] = None
+
+    @property
+    def only_descriptor(self) -> str | None:
+        """The descriptor, where that is the one form given: the form that is known by heart."""
+        others = (self.indicator, self.visual, self.image)
+        return self.descriptor if others == (None, None, None) else None
+
+    def to_contract(self, where: str = "body.context") -> ObjectContext | VisualContext:
+        """The object.
+
+        Raises:
+            InvalidRequestError: not exactly one form, or a form that cannot be one.
+            ImageTooLargeError, UnsupportedImageError: as ``images.decode``.
+        """
+        given = [name for name in _FORMS if getattr(self, name) is not None]
+        if len(given) != 1:
+            received = " and ".join(given) or "no form"
+            raise InvalidRequestError([FieldFault(where, received, f"exactly one of {', '.join(_FORMS)}")])
+        if self.descriptor is not None:
+            return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
+        if self.indicator is not None:
+            return ObjectContext.from_indicator(self.indicator, f"{where}.indicator")
+        if self.image is not None:
+            return visual_context(decode(_decode_base64(self.image, f"{where}.image"), where=f"{where}.image"))
+        if isinstance(self.visual, str):
+            return VisualContext.from_bytes(_decode_base64(self.visual, f"{where}.visual"), f"{where}.visual")
+        return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual")
+
+
+_FORMS: Final = tuple(ContextBody.model_fields)
+
+
+def _decode_base64(text: str, where: str) -> bytes:
+    """The bytes that a text stands for.
+
+    Raises:
+        InvalidRequestError: it is not base64 with its padding.
+    """
+    try:
+        return base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError) as error:
+        received = f"a text of {len(text)} characters that is not base64"
+        raise InvalidRequestError([FieldFault(where, received, "base64 with its padding (RFC 4648)")]) from error
+
+
+def _levels(rows: list[list[float]], where: str) -> bytes:
+    """Grey levels of rows of numbers in [0, 1]."""
+    if len(rows) != VISUAL_SIZE or any(len(row) != VISUAL_SIZE for row in rows):
+        received = f"{len(rows)} rows"
+        raise InvalidRequestError([FieldFault(where, received, f"{VISUAL_SIZE} rows of {VISUAL_SIZE} numbers")])
+    grey = np.array(rows)
+    if not (grey.min() >= 0.0 and grey.max() <= 1.0):
+        raise InvalidRequestError([FieldFault(where, "a number outside [0, 1]", "0 (black) to 1 (white)")])
+    return np.floor(grey * 255.0 + 0.5).astype(np.uint8).tobytes()

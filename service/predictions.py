@@ -1,0 +1,203 @@
+"""From a request that is valid in itself to the bytes of its answer: which model, which objects, which frame.
+
+Every way in comes through here, the fast one and the documented one, so that both give the same bytes. Numbers of the
+object frame are written as float32 needs them and no longer; those of the world frame as float64.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import orjson
+
+from service.contract import ContextKind, FloatArray, IndexArray, ObjectContext
+from service.errors import FieldFault, InvalidRequestError
+from service.frames import DoubleArray, into_world_frame
+from service.images import decode, visual_context
+from service.loaded_models import FIRST_OBJECT, LoadedModel, Snapshot
+from service.object_bodies import ContextBody
+from service.requests import BatchRequest, Prediction, PredictRequest
+from service.uploads import Upload
+
+LIGHT_PUSHES: Final = 256  # as many are answered in about the time that handing them to a thread takes
+MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
+_CACHED_OBJECTS: Final = 4096  # Omnipush has 250
+_JSON: Final = orjson.OPT_SERIALIZE_NUMPY
+Render = Callable[[FloatArray, FloatArray, DoubleArray | None], dict[str, object]]
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The bytes of an answer, how they are declared, and what the log says of it."""
+
+    content: bytes
+    model: str
+    version: int
+    pushes: int
+    headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
+
+    def log(self) -> dict[str, str | int]:
+        """Fields for the request's line in the log."""
+        return {"model": self.model, "version": self.version, "pushes": self.pushes}
+
+
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """Distinct objects as a model takes them, and which of them each push meets."""
+
+    kind: ContextKind
+    tensor: FloatArray | None
+    places: IndexArray | None
+
+
+NO_OBJECT: Final = Objects(ContextKind.NONE, None, None)
+
+
+def predict_one(models: Snapshot, request: PredictRequest) -> Answer:
+    """Answer one push.
+
+    Raises:
+        RequestError: the push, the object or the model asked for cannot be.
+        ModelNotReadyError, PredictionError: as ``Snapshot.find`` and ``LoadedModel.predict``.
+    """
+    objects = _object(request)
+    return _predict_one(_model(models, request, objects.kind), request, objects)
+
+
+def predict_with(model: LoadedModel, request: PredictRequest) -> Answer:
+    """Answer one push by this model, whichever the request asks for.
+
+    Raises:
+        RequestError, PredictionError: as ``predict_one``.
+    """
+    return _predict_one(model, request, _object(request))
+
+
+def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
+    """Answer many pushes; a push's answer depends on its own row and object only.
+
+    Raises:
+        RequestError: a push, an object or the model asked for cannot be.
+        ModelNotReadyError, PredictionError: as ``Snapshot.find`` and ``LoadedModel.predict``.
+    """
+    pushers, places = request.pusher_poses(), None
+    if request.contexts is not None or request.context_index is not None:
+        places = request.places()
+    objects = NO_OBJECT if places is None else _objects(request.contexts or (), places)
+    model = _model(models, request, objects.kind)
+    return _answer(model, pushers, objects, request.objects(), _columns)
+
+
+def predict_upload(models: Snapshot, upload: Upload) -> Answer:
+    """Answer one push (field ``pusher``) or many (``pushers``) of the object in an image; blocking: it decodes.
+
+    Raises:
+        ValidationError: a field is not what the schemas say.
+        RequestError, ModelNotReadyError, PredictionError: as ``predict_one`` and ``images.decode``.
+    """
+    tensor = visual_context(decode(upload.image)).tensor()[None]
+    if "pushers" not in upload.fields:
+        request = PredictRequest.model_validate(upload.fields)
+        objects = Objects(ContextKind.VISUAL, tensor, FIRST_OBJECT)
+        return _predict_one(_model(models, request, objects.kind), request, objects)
+    batch = BatchRequest.model_validate(upload.fields)
+    objects = Objects(ContextKind.VISUAL, tensor, np.zeros(len(batch.pushers), dtype=np.int64))
+    return _answer(_model(models, batch, objects.kind), batch.pusher_poses(), objects, batch.objects(), _columns)
+
+
+def is_light(request: object) -> bool:
+    """Whether a request of few bytes may be answered in the event loop."""
+    if isinstance(request, BatchRequest):
+        contexts = request.contexts or ()
+        few = len(request.pushers) <= LIGHT_PUSHES and len(contexts) <= LIGHT_PUSHES
+        return few and all(context.image is None for context in contexts)
+    return not isinstance(request, PredictRequest) or request.context is None or request.context.image is None
+
+
+def _object(request: PredictRequest) -> Objects:
+    return NO_OBJECT if request.context is None else Objects(*_encoded(request.context, "body.context"), FIRST_OBJECT)
+
+
+def _predict_one(model: LoadedModel, request: PredictRequest, objects: Objects) -> Answer:
+    return _answer(model, request.pusher_poses(), objects, request.objects(), _one)
+
+
+def _model(models: Snapshot, request: Prediction, kind: ContextKind) -> LoadedModel:
+    reference = request.reference()
+    return models.find_default(kind) if reference is None else models.find(reference)
+
+
+def _answer(
+    model: LoadedModel, pushers: DoubleArray, objects: Objects, frames: DoubleArray | None, render: Render
+) -> Answer:
+    mean, std = model.predict(pushers.astype(np.float32), objects.kind, objects.tensor, objects.places)
+    name, version = model.manifest.name, model.manifest.version
+    document: dict[str, object] = {"model": {"name": name, "version": version}}
+    if frames is None:
+        document |= {"frame": "object", **render(mean, std, None)}
+    else:
+        turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), frames)
+        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+        document |= {"frame": "world", **render(turned, np.ascontiguousarray(spread), covariance)}  # type: ignore[arg-type]
+    return Answer(orjson.dumps(document, option=_JSON), name, version, len(pushers))
+
+
+def _one(mean: FloatArray, std: FloatArray, covariance: DoubleArray | None) -> dict[str, object]:
+    (x, y, angle), (x_std, y_std, angle_std) = mean[0], std[0]
+    rows: dict[str, object] = {
+        "mean": {"x": x, "y": y, "angle": angle},
+        "std": {"x": x_std, "y": y_std, "angle": angle_std},
+    }
+    return rows if covariance is None else {**rows, "covariance": covariance[0]}
+
+
+def _columns(mean: FloatArray, std: FloatArray, covariance: DoubleArray | None) -> dict[str, object]:
+    rows: dict[str, object] = {"mean": mean, "std": std}
+    return rows if covariance is None else {**rows, "covariance": covariance}
+
+
+def _objects(contexts: Sequence[ContextBody], places: IndexArray) -> Objects:
+    """The distinct objects among contexts; those told by one descriptor are encoded once."""
+    if sum(context.image is not None for context in contexts) > MAX_IMAGES:
+        accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
+        raise InvalidRequestError([FieldFault("body.contexts", f"more than {MAX_IMAGES} images", accepted)])
+    kinds: dict[ContextKind, int] = {}
+    tensors: list[FloatArray] = []
+    known: dict[str, int] = {}
+    renumbered = np.empty(len(contexts), dtype=np.int64)
+    for number, context in enumerate(contexts):
+        descriptor = context.only_descriptor
+        place = None if descriptor is None else known.get(descriptor)
+        if place is None:
+            kind, tensor = _encoded(context, f"body.contexts.{number}")
+            kinds.setdefault(kind, number)
+            place = len(tensors)
+            tensors.append(tensor)
+            if descriptor is not None:
+                known[descriptor] = place
+        renumbered[number] = place
+    if len(kinds) > 1:
+        received = " and ".join(f"kind {kind} at {number}" for kind, number in kinds.items())
+        raise InvalidRequestError([FieldFault("body.contexts", received, "contexts of one kind")])
+    return Objects(next(iter(kinds)), np.concatenate(tensors), renumbered[places])
+
+
+def _encoded(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:
+    """Kind and tensor (1, ...) of one object."""
+    descriptor = context.only_descriptor
+    if descriptor is not None:
+        try:
+            return ContextKind.INDICATOR, _tensor_of(descriptor)
+        except InvalidRequestError:
+            pass  # said below, with its place
+    known = context.to_contract(where)
+    return known.kind, known.tensor()[None]
+
+
+@lru_cache(maxsize=_CACHED_OBJECTS)
+def _tensor_of(descriptor: str) -> FloatArray:
+    tensor = ObjectContext.from_descriptor(descriptor).tensor()[None]
+    tensor.setflags(write=False)
+    return tensor

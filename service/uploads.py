@@ -1,0 +1,103 @@
+"""An uploaded image and the fields beside it, as a form or by itself; read whole from memory, in a thread.
+
+The form is parsed by python-multipart through Starlette, held to one file and a few fields, and never written to disk:
+the intake has bounded its bytes already.
+"""
+
+import asyncio
+from collections.abc import AsyncGenerator
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import pydantic_core
+from starlette.datastructures import Headers, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
+
+from service.errors import FieldFault, InvalidRequestError, MalformedBodyError, UnsupportedMediaTypeError
+
+IMAGE_TYPES: Final = ("image/png", "image/jpeg", "image/webp")
+FORM_TYPE: Final = "multipart/form-data"
+_JSON_FIELDS: Final = frozenset(("pusher", "pushers", "object_pose", "object_poses"))
+_FIELDS: Final = _JSON_FIELDS | {"model"}
+
+
+@dataclass(frozen=True)
+class Upload:
+    """An image file, and the fields beside it: those that are JSON parsed, ``model`` as text."""
+
+    image: bytes
+    fields: dict[str, Any] = field(default_factory=dict)
+
+
+class _InMemory(MultiPartParser):
+    """Never touches the disk: a read-only container has none to write to."""
+
+    spool_max_size = 1 << 62
+
+    def close(self) -> None:
+        """Close every file; the parser forgets those whose end did not come."""
+        for file in self._files_to_close_on_error:
+            file.close()
+
+
+def read_upload(headers: Headers, content: bytes) -> Upload:
+    """The image in a body; blocking, so call it in a thread.
+
+    Raises:
+        UnsupportedMediaTypeError: it is neither a form nor an image.
+        MalformedBodyError: it is no whole form, or has too many parts.
+        InvalidRequestError: the image is not there, or a field is unknown, twice there, or no JSON.
+    """
+    media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
+    if media_type in IMAGE_TYPES:
+        return Upload(content)
+    if media_type != FORM_TYPE or not _is_utf8(headers.get("content-type", "")):
+        accepted = ", ".join((FORM_TYPE, *IMAGE_TYPES))
+        raise UnsupportedMediaTypeError(f"header Content-Type: received something else; accepted is {accepted}")
+    try:
+        form = asyncio.run(_parse(headers, content))
+    except (MultiPartException, KeyError, ValueError) as error:
+        accepted = f"one file image and the fields {', '.join(sorted(_FIELDS))}, with the boundary of the header"
+        raise MalformedBodyError(f"body: received no such form; accepted is {accepted}") from error
+    image: bytes | None = None
+    fields: dict[str, Any] = {}
+    for name, value in form:
+        if name == "image" and image is None and isinstance(value, bytes):
+            image = value
+        elif name in _FIELDS and name not in fields and isinstance(value, str):
+            fields[name] = _json(name, value) if name in _JSON_FIELDS else value
+        else:
+            accepted = f"a file image, and each of {', '.join(sorted(_FIELDS))} at most once, as text"
+            raise InvalidRequestError([FieldFault("body", "another part, one twice, or a text for a file", accepted)])
+    if image is None:
+        raise InvalidRequestError([FieldFault("body.image", "nothing", "a file: PNG, JPEG or WebP")])
+    return Upload(image, fields)
+
+
+async def _parse(headers: Headers, content: bytes) -> list[tuple[str, str | bytes]]:
+    """The parts of a form, in order."""
+
+    async def stream() -> AsyncGenerator[bytes, None]:
+        yield content
+
+    parser = _InMemory(headers, stream(), max_files=1, max_fields=len(_FIELDS), max_part_size=len(content))
+    try:
+        form = await parser.parse()
+        return [
+            (name, await value.read() if isinstance(value, UploadFile) else value) for name, value in form.multi_items()
+        ]
+    finally:
+        parser.close()
+
+
+def _is_utf8(content_type: str) -> bool:
+    """Whether the text of a form is declared as UTF-8 or not at all: some of Python's codecs are slow on purpose."""
+    parameters = content_type.lower().replace('"', "").replace(" ", "").split(";")
+    return all(not text.startswith("charset") or text == "charset=utf-8" for text in parameters)
+
+
+def _json(name: str, text: str) -> Any:
+    try:
+        return pydantic_core.from_json(text)
+    except ValueError as error:
+        raise InvalidRequestError([FieldFault(f"body.{name}", "no JSON", "JSON, as in POST /v1/predict")]) from error

@@ -1,0 +1,75 @@
+"""Threads for what would hold up the event loop: large batches, images. Bounded in number, in queue and in time.
+
+A thread per processor that this container may use, since the runtime takes one thread per call: more would only take
+turns. What would wait behind a full queue is refused at once, so that the caller can go elsewhere; what waits longer
+than the deadline is told so, and dropped if it has not begun.
+"""
+
+import asyncio
+import math
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+from service.errors import DeadlineError, OverloadedError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+_CGROUP_CPU = Path("/sys/fs/cgroup/cpu.max")
+
+
+class Workers:
+    """A bounded pool of threads with a deadline."""
+
+    def __init__(self, threads: int, max_waiting: int, deadline_s: float) -> None:
+        self._threads = threads
+        self._pool: ThreadPoolExecutor | None = None
+        self._most = threads + max_waiting
+        self._deadline_s = deadline_s
+        self._busy = 0
+        self._counting = threading.Lock()
+
+    async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
+        """The function's result, from a thread.
+
+        Raises:
+            OverloadedError: the queue is full.
+            DeadlineError: it took longer than a request may.
+        """
+        if self._busy >= self._most:
+            raise OverloadedError(f"{self._most} requests of work for its threads")
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worker")
+        future = self._pool.submit(function, *args, **kwargs)
+        self._count(+1)
+        # when its thread is free, which may be long after its caller has left
+        future.add_done_callback(lambda _: self._count(-1))
+        try:
+            return await asyncio.wait_for(asyncio.wrap_future(future), self._deadline_s)
+        except TimeoutError as error:
+            raise DeadlineError(self._deadline_s) from error
+
+    def _count(self, change: int) -> None:
+        """Called from the loop's thread and from the pool's."""
+        with self._counting:
+            self._busy += change
+
+    def close(self) -> None:
+        """Drop what has not begun, and the threads; whoever runs something after that gets new ones."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+            self._pool = None
+
+
+def processors(cgroup_cpu: Path = _CGROUP_CPU) -> int:
+    """How many processors this process may use: the container's quota, or those that it is bound to; at least one."""
+    bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    try:
+        quota, period = cgroup_cpu.read_text(encoding="ascii").split()
+        allowed = math.ceil(int(quota) / int(period))
+    except (OSError, ValueError):  # no cgroup, or "max"
+        return bound
+    return max(1, min(bound, allowed))

@@ -1,0 +1,200 @@
+"""The short way gives the bytes that the long way gives, and leaves everything unusual to it."""
+
+import base64
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from fastapi.testclient import TestClient
+from httpx2 import Response
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from starlette.responses import PlainTextResponse
+
+from service.app import create_app
+from service.contract import ContextKind
+from service.fast_path import FastPath
+from service.intake import Intake, IntakeLimits
+from service.keys import Keys
+from service.loaded_models import LoadedModels
+from service.registry import Registry
+from service.settings import Settings
+from service.telemetry import RequestLog, RequestTelemetry
+from service.workers import Workers
+from tests.fakes import FAILING, fake_models, publish_fake
+
+PLAIN = {"Content-Type": "application/json"}
+LONG = {"Content-Type": "application/json; charset=utf-8"}  # means the same, and is not worth a place in the short way
+PUSHER = {"x": -0.075, "y": 0.0, "angle": 0.0}
+VISUAL = base64.b64encode(bytes(1024)).decode()
+Served = tuple[Registry, LoadedModels]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Served:
+    """Fakes of every kind."""
+    registry, models = fake_models(tmp_path_factory.mktemp("models"))
+    publish_fake(registry, "push-visual", ContextKind.VISUAL)
+    publish_fake(registry, "push-failing", model=FAILING)
+    models.refresh()
+    return registry, models
+
+
+@pytest.fixture(scope="module")
+def client(served: Served) -> Iterator[TestClient]:
+    """The whole app."""
+    app = create_app(Settings(poll_interval_s=3600), served[1])
+    with TestClient(app, raise_server_exceptions=False) as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def short_only(served: Served) -> Iterator[TestClient]:
+    """The short way with nothing behind it but a refusal."""
+    workers = Workers(1, 8, 10.0)
+    fast_path = FastPath(PlainTextResponse("the long way", 418), served[1], workers, Keys(None))
+    intake = Intake(fast_path, IntakeLimits(1 << 20, 10.0, 8, 0, 1 << 24))
+    yield TestClient(RequestTelemetry(intake, PlainTextResponse("internal", 500), RequestLog()))
+    workers.close()
+
+
+def both_ways(client: TestClient, path: str, content: bytes) -> tuple[Response, Response]:
+    """The same request by the short way and by the long one."""
+    request_id = {"X-Request-ID": "the-same"}
+    short, long = (client.post(path, content=content, headers=kind | request_id) for kind in (PLAIN, LONG))
+    assert short.content == long.content
+    assert (short.status_code, dict(short.headers)) == (long.status_code, dict(long.headers))
+    return short, long
+
+
+numbers = st.one_of(
+    st.floats(-1.0, 1.0),
+    st.integers(-2, 2),
+    st.sampled_from([1e-7, 3e-5, 1e16, -0.0, 5e-324, 1e308, 10**30, True, None, "0.1"]),
+)
+poses = st.fixed_dictionaries({"x": numbers, "y": numbers, "angle": numbers})
+contexts = st.one_of(
+    st.none(),
+    st.sampled_from(["1a2b3c4a", "4a4a4a4a", "9z", ""]).map(lambda text: {"descriptor": text}),
+    st.lists(st.sampled_from([0, 1, 1.0, 2]), min_size=35, max_size=37).map(lambda bits: {"indicator": bits}),
+    st.sampled_from([{"visual": VISUAL}, {"visual": [[0.5] * 32] * 32}, {"visual": [[2]]}, {"visual": "?"}, {}]),
+)
+references = st.sampled_from(
+    [None, "push-none", "push-indicator@1", "push-visual@champion", "push-failing", "nobody", "../x"]
+)
+pushes = st.fixed_dictionaries(
+    {"pusher": poses}, optional={"context": contexts, "model": references, "object_pose": poses, "other": st.none()}
+)
+rows = st.lists(st.lists(numbers, min_size=2, max_size=4), max_size=4)
+batches = st.fixed_dictionaries(
+    {"pushers": rows},
+    optional={
+        "contexts": st.lists(contexts, max_size=4),
+        "context_index": st.lists(st.integers(-1, 4), max_size=4),
+        "object_poses": rows,
+        "model": references,
+    },
+)
+alike = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=400)
+
+
+@alike
+@given(pushes)
+def test_a_push_gets_the_same_bytes_both_ways(client: TestClient, body: Any) -> None:
+    """Answers and refusals alike, headers too."""
+    both_ways(client, "/v1/predict", json.dumps(body).encode())
+
+
+@alike
+@given(batches)
+def test_a_batch_gets_the_same_bytes_both_ways(client: TestClient, body: Any) -> None:
+    """Answers and refusals alike, headers too."""
+    both_ways(client, "/v1/predict/batch", json.dumps(body).encode())
+
+
+@alike
+@given(st.binary(max_size=60), st.integers(0, 200), st.integers(0, 200))
+def test_broken_bytes_get_the_same_bytes_both_ways(client: TestClient, noise: bytes, start: int, end: int) -> None:
+    """A good body with a piece replaced by noise."""
+    good = json.dumps({"pusher": PUSHER, "context": {"descriptor": "1a2b3c4a"}}).encode()
+    both_ways(client, "/v1/predict", good[:start] + noise + good[end:])
+
+
+ODD = {
+    "one key twice": b'{"pusher": {"x": 9, "x": 0, "y": 0, "angle": 0}}',
+    "NaN": b'{"pusher": {"x": NaN, "y": 0, "angle": 0}}',
+    "a surrogate": b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "model": "\\ud800"}',
+    "a byte order mark": b'\xef\xbb\xbf{"pusher": {"x": 0, "y": 0, "angle": 0}}',
+    "a deep list": b'{"pusher": ' + b"[" * 5000,
+    "deep and closed": b'{"pusher": ' + b"[" * 150 + b"]" * 150 + b"}",
+    "a long number": b'{"pusher": {"x": ' + b"7" * 3000 + b', "y": 0, "angle": 0}}',
+    "an escaped key": b'{"\\u0070usher": {"x": 0, "y": 0, "angle": 0}}',
+    "a failing model": b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"descriptor": "1a2b3c4a"}, '
+    b'"model": "push-failing"}',
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_what_parsers_disagree_about_gets_the_same_bytes_both_ways(client: TestClient, name: str) -> None:
+    """The two ways have two JSON readers; nothing may show it."""
+    both_ways(client, "/v1/predict", ODD[name])
+
+
+def test_a_long_batch_gets_the_same_bytes_both_ways(client: TestClient) -> None:
+    """In a thread, by either way."""
+    body = {"pushers": [[number / 1e4, 0.0, number] for number in range(2000)], "contexts": [{"visual": VISUAL}]}
+    short, _ = both_ways(client, "/v1/predict/batch", json.dumps(body).encode())
+    assert short.status_code == 200
+
+
+BODY = json.dumps({"pusher": PUSHER}).encode()
+
+
+def test_a_plain_prediction_needs_no_framework(short_only: TestClient) -> None:
+    """Push, batch and inference are answered with nothing behind the short way."""
+    tensor = {"name": "pusher", "shape": [1, 3], "datatype": "FP32", "data": [0.1, 0, 0]}
+    asked: dict[str, Any] = {
+        "/v1/predict": {"pusher": PUSHER},
+        "/v1/predict/batch": {"pushers": [[0.1, 0, 0]]},
+        "/v2/models/push-none/infer": {"inputs": [tensor]},
+        "/v2/models/push-none/versions/1/infer": {"inputs": [tensor]},
+    }
+    for path, body in asked.items():
+        response = short_only.post(path, json=body)
+        assert response.status_code == 200, (path, response.text)
+        assert response.headers["x-request-id"]
+
+
+UNUSUAL: dict[str, tuple[str, dict[str, str], bytes]] = {
+    "another path": ("/v1/predictions", PLAIN, BODY),
+    "no content type": ("/v1/predict", {}, BODY),
+    "another accept": ("/v1/predict", PLAIN | {"Accept": "text/html"}, BODY),
+    "compressed": ("/v1/predict", PLAIN | {"Content-Encoding": "gzip"}, BODY),
+    "a fault": ("/v1/predict", PLAIN, b"{}"),
+    "no JSON": ("/v1/predict", PLAIN, b"{"),
+    "an unknown model": ("/v1/predict", PLAIN, BODY.replace(b"}}", b'}, "model": "nobody"}')),
+    "an unknown version": ("/v2/models/push-none/versions/7/infer", PLAIN, b"{}"),
+    "no version": ("/v2/models/push-none/versions/x/infer", PLAIN, b"{}"),
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_what_is_unusual_goes_the_long_way(short_only: TestClient, name: str) -> None:
+    """Everything but a plain request that is in order."""
+    path, headers, content = UNUSUAL[name]
+    assert short_only.post(path, content=content, headers=headers).status_code == 418
+
+
+def test_other_methods_go_the_long_way(short_only: TestClient) -> None:
+    """Only POST predicts."""
+    assert short_only.get("/v1/predict").status_code == 418
+
+
+def test_a_key_is_needed_on_the_short_way_too(served: Served, tmp_path: Path) -> None:
+    """Without one the long way is taken, and says so."""
+    (tmp_path / "keys").write_text("")
+    app = create_app(Settings(keys=tmp_path / "keys", poll_interval_s=3600), served[1])
+    with TestClient(app) as client:
+        assert client.post("/v1/predict", content=BODY, headers=PLAIN).status_code == 401

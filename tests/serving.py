@@ -1,0 +1,130 @@
+"""A real service process for tests: real sockets, the runtime, the model that ships and a small visual one."""
+
+import http.client
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import onnx
+from onnx import TensorProto, helper
+
+from service.contract import VISUAL_SIZE, ContextKind
+from service.manifest import SelfCheck
+from service.predictor import OnnxPredictor
+from service.registry import Registry
+from tests.fakes import draft_manifest
+
+ROOT = Path(__file__).resolve().parent.parent
+PATIENCE_S = 60.0  # machines are shared: this bounds a hang, it measures nothing
+
+
+def visual_model() -> bytes:
+    """A graph of the contract: the object moves a tenth of the pusher's way to it, and turns by its mean grey level."""
+    size = [VISUAL_SIZE, VISUAL_SIZE]
+    floats = TensorProto.FLOAT
+    nodes = [
+        helper.make_node("Mul", ["pusher", "tenth"], ["moved"]),
+        helper.make_node("ReduceMean", ["context", "pixels"], ["grey"], keepdims=0),
+        helper.make_node("Gather", ["grey", "context_index"], ["turn"], axis=0),
+        helper.make_node("Mul", ["turn", "only_angle"], ["turned"]),
+        helper.make_node("Add", ["moved", "turned"], ["mean"]),
+        helper.make_node("Mul", ["mean", "nothing"], ["zeros"]),
+        helper.make_node("Add", ["zeros", "spread"], ["std"]),
+    ]
+    constants = [
+        helper.make_tensor("tenth", floats, [3], [-0.1] * 3),
+        helper.make_tensor("pixels", TensorProto.INT64, [2], [2, 3]),
+        helper.make_tensor("only_angle", floats, [3], [0.0, 0.0, 1.0]),
+        helper.make_tensor("nothing", floats, [1], [0.0]),
+        helper.make_tensor("spread", floats, [3], [0.001, 0.002, 0.03]),
+    ]
+    inputs = [
+        helper.make_tensor_value_info("pusher", floats, ["n", 3]),
+        helper.make_tensor_value_info("context", floats, ["g", 1, *size]),
+        helper.make_tensor_value_info("context_index", TensorProto.INT64, ["n"]),
+    ]
+    outputs = [helper.make_tensor_value_info(name, floats, ["n", 3]) for name in ("mean", "std")]
+    graph = helper.make_graph(nodes, "visual", inputs, outputs, constants)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 18)], ir_version=10)
+    onnx.checker.check_model(model)
+    return bytes(model.SerializeToString())
+
+
+def publish_visual(registry: Registry) -> None:
+    """Publish that graph as push-visual."""
+    model = visual_model()
+    pusher = np.array([[-0.08, 0.0, 0.0]], dtype=np.float32)
+    context = np.zeros((1, 1, VISUAL_SIZE, VISUAL_SIZE), dtype=np.float32)
+    mean, std = OnnxPredictor(model, ContextKind.VISUAL).predict(pusher, context, np.zeros(1, dtype=np.int64))
+    rows = context.reshape(1, -1).tolist()
+    check = SelfCheck(pusher.tolist(), rows, [0], mean.tolist(), std.tolist(), 1e-4)
+    manifest = replace(draft_manifest("push-visual", ContextKind.VISUAL), self_check=check)
+    version = registry.publish(manifest, model, "# push-visual\n").version
+    registry.point_alias("push-visual", "champion", version)
+
+
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """A service over the models that ship and a visual one, on a port; ended in order, it must exit with 0."""
+    shutil.copytree(ROOT / "models", folder / "models")
+    publish_visual(Registry(folder / "models"))
+    port = free_port()
+    environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(folder / "models"), "CAZSL_LOG_LEVEL": "WARNING"}
+    environment |= {f"CAZSL_{name.upper()}": str(value) for name, value in settings.items()}
+    with (folder / "log").open("w") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+            cwd=ROOT,
+            env={**os.environ, **environment},
+            stdout=log,
+            stderr=log,
+        )
+    try:
+        _wait(process, port, folder / "log")
+        yield port, process
+        process.terminate()
+        assert process.wait(PATIENCE_S) == 0, (folder / "log").read_text()
+    finally:
+        process.kill()
+        process.wait()
+
+
+def is_ready(port: int) -> bool:
+    """Whether the service answers, on a connection of its own."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    try:
+        connection.request("GET", "/readyz")
+        return connection.getresponse().status == 200
+    except OSError:
+        return False
+    finally:
+        connection.close()
+
+
+def rss_mib(process: subprocess.Popen[bytes]) -> float:
+    """Memory that a process holds now."""
+    pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def _wait(process: subprocess.Popen[bytes], port: int, log: Path) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not is_ready(port):
+        assert process.poll() is None, log.read_text()
+        assert time.monotonic() < end, log.read_text()
+        time.sleep(0.05)

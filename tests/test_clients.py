@@ -1,0 +1,151 @@
+"""Other people's clients, unchanged, against a real service process: tritonclient, blocking and asyncio; KServe's SDK.
+
+KServe's SDK wants another protobuf than the trainer's onnx, so it has an environment of its own: CAZSL_KSERVE_PYTHON
+names its interpreter (``python -m venv kserve && kserve/bin/pip install kserve==0.21.0``).
+"""
+
+import asyncio
+import os
+import subprocess
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import tritonclient.http as blocking
+import tritonclient.http.aio as concurrent
+from tritonclient.utils import InferenceServerException
+
+from service.contract import ObjectContext
+from tests.serving import ROOT, serve
+
+KSERVE = os.environ.get("CAZSL_KSERVE_PYTHON")
+
+PUSHES = np.array([[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]], dtype=np.float32)
+CONTEXT = ObjectContext.from_descriptor("1a2b3c4a").indicator()[None]
+INDEX = np.zeros(2, dtype=np.int64)
+
+
+@pytest.fixture(scope="module")
+def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Where the service is."""
+    with serve(tmp_path_factory.mktemp("clients")) as (port, _):
+        yield f"127.0.0.1:{port}"
+
+
+@pytest.fixture(scope="module")
+def client(url: str) -> Iterator[blocking.InferenceServerClient]:
+    """The blocking client."""
+    with blocking.InferenceServerClient(url) as found:
+        yield found
+
+
+def inputs(module: Any, *, binary: bool = True) -> list[Any]:
+    """The tensors of two pushes of one object, as the client has them."""
+    found = []
+    for name, array in (("pusher", PUSHES), ("context", CONTEXT), ("context_index", INDEX)):
+        tensor = module.InferInput(name, list(array.shape), "INT64" if array.dtype == np.int64 else "FP32")
+        tensor.set_data_from_numpy(array, binary_data=binary)
+        found.append(tensor)
+    return found
+
+
+def test_health_and_metadata(client: blocking.InferenceServerClient) -> None:
+    """What a client asks first."""
+    assert client.is_server_live()
+    assert client.is_server_ready()
+    assert client.is_model_ready("push-indicator")
+    assert client.is_model_ready("push-indicator", "1")
+    assert not client.is_model_ready("push-indicator", "9")
+    assert not client.is_model_ready("nobody")
+    assert client.get_server_metadata()["name"] == "cazsl"
+    metadata = client.get_model_metadata("push-indicator")
+    assert metadata["versions"] == ["1"]
+    assert [tensor["name"] for tensor in metadata["inputs"]] == ["pusher", "context", "context_index"]
+
+
+@pytest.mark.parametrize("binary_in", [True, False], ids=["binary in", "JSON in"])
+@pytest.mark.parametrize("binary_out", [True, False], ids=["binary out", "JSON out"])
+@pytest.mark.parametrize("packed", [None, "gzip", "deflate"])
+def test_inference_in_every_form(
+    client: blocking.InferenceServerClient, binary_in: bool, binary_out: bool, packed: str | None
+) -> None:
+    """Binary or JSON, in and out, compressed or not: the same numbers."""
+    outputs = [blocking.InferRequestedOutput(name, binary_data=binary_out) for name in ("mean", "std")]
+    result = client.infer(
+        "push-indicator",
+        inputs(blocking, binary=binary_in),
+        model_version="1",
+        outputs=outputs,
+        request_id="42",
+        request_compression_algorithm=packed,
+        response_compression_algorithm=packed,
+    )
+    plain = client.infer("push-indicator", inputs(blocking))
+    for name in ("mean", "std"):
+        assert (result.as_numpy(name) == plain.as_numpy(name)).all()
+    assert result.as_numpy("mean").shape == (2, 3)
+    assert (result.as_numpy("std") > 0).all()
+    response = result.get_response()
+    assert (response["model_name"], response["model_version"], response["id"]) == ("push-indicator", "1", "42")
+
+
+def test_a_visual_model_is_asked_like_any_other(client: blocking.InferenceServerClient) -> None:
+    """Images as tensors."""
+    pusher, context = (
+        blocking.InferInput("pusher", [2, 3], "FP32"),
+        blocking.InferInput("context", [1, 1, 32, 32], "FP32"),
+    )
+    pusher.set_data_from_numpy(PUSHES)
+    context.set_data_from_numpy(np.full((1, 1, 32, 32), 51 / 255, dtype=np.float32))
+    mean = client.infer("push-visual", [pusher, context]).as_numpy("mean")
+    assert mean == pytest.approx(-PUSHES / 10 + np.array([0.0, 0.0, 0.2]), abs=1e-6)
+
+
+@pytest.mark.parametrize("name", ["nobody", "push-visual"])
+def test_an_error_is_a_text_that_the_client_shows(client: blocking.InferenceServerClient, name: str) -> None:
+    """An unknown model, and a model that wants other tensors."""
+    with pytest.raises(InferenceServerException) as raised:
+        client.infer(name, inputs(blocking))
+    assert "accepted is" in str(raised.value)
+    assert raised.value.status() in ("404", "400")
+
+
+def test_numbers_that_are_not_finite_are_refused_by_tensor_and_place(client: blocking.InferenceServerClient) -> None:
+    """The client sends NaN in JSON as it is."""
+    for binary in (True, False):
+        tensors = inputs(blocking, binary=binary)
+        tensors[0].set_data_from_numpy(np.full((2, 3), np.nan, dtype=np.float32), binary_data=binary)
+        with pytest.raises(InferenceServerException, match=r"inputs pusher\[0, 0\]"):
+            client.infer("push-indicator", tensors)
+
+
+def test_the_asyncio_client_speaks_too(url: str) -> None:
+    """The same, many at once."""
+
+    async def scenario() -> None:
+        async with concurrent.InferenceServerClient(url) as client:
+            assert await client.is_server_live()
+            assert await client.is_server_ready()
+            assert await client.is_model_ready("push-indicator")
+            assert (await client.get_server_metadata())["extensions"] == ["binary_tensor_data"]
+            assert (await client.get_model_metadata("push-indicator", "1"))["versions"] == ["1"]
+            tensors = inputs(concurrent)
+            results = await asyncio.gather(
+                *(client.infer("push-indicator", tensors, request_compression_algorithm="gzip") for _ in range(20))
+            )
+            first = results[0].as_numpy("mean")
+            assert all((result.as_numpy("mean") == first).all() for result in results)
+            with pytest.raises(InferenceServerException, match="accepted is"):
+                await client.infer("nobody", tensors)
+
+    asyncio.run(scenario())
+
+
+@pytest.mark.skipif(KSERVE is None, reason="CAZSL_KSERVE_PYTHON names no interpreter with kserve")
+def test_the_sdk_of_kserve_speaks_too(url: str) -> None:
+    """Health, inference in both forms, and the text of an error."""
+    script = str(ROOT / "tests" / "kserve_client.py")
+    bits = "".join(str(int(bit)) for bit in CONTEXT[0])
+    done = subprocess.run([KSERVE or "", script, f"http://{url}", bits], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,72 @@
+"""Every line of code in docs/api.md is run, in the order of the page, against a real service."""
+
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from service import errors
+from tests.serving import ROOT, serve
+
+PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture(scope="module")
+def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
+    """A service."""
+    with serve(tmp_path_factory.mktemp("docs")) as (found, _):
+        yield found
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Where the examples are run: there is a picture."""
+    grey = np.zeros((64, 64), dtype=np.uint8)
+    grey[20:44, 20:44] = 128
+    Image.fromarray(grey).save(tmp_path / "view.png")
+    return tmp_path
+
+
+def run(command: list[str], code: str, folder: Path) -> str:
+    """What a program prints that is given on standard input, and succeeds."""
+    done = subprocess.run(command, input=code, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout
+
+
+def test_every_line_for_the_shell_gets_an_answer(port: int, folder: Path) -> None:
+    """Curl fails on every status that is not a success, and each line prints JSON."""
+    blocks = [code for language, code in BLOCKS if language == "sh"]
+    assert len(blocks) == 5
+    for code in blocks:
+        printed = run(["bash", "-e"], code.replace("localhost:8000", f"127.0.0.1:{port}"), folder)
+        assert printed.startswith("{"), code
+
+
+def test_every_line_of_python_runs(port: int, folder: Path) -> None:
+    """As one program: later blocks use what earlier ones made."""
+    blocks = [code for language, code in BLOCKS if language == "python"]
+    assert len(blocks) == 5
+    printed = run([sys.executable, "-"], "\n".join(blocks).replace("localhost:8000", f"127.0.0.1:{port}"), folder)
+    assert "turns the object least" in printed
+    assert (folder / "seen.png").exists()
+
+
+def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
+    """With its status; errors of the registry and of data never leave as such."""
+    table = {
+        (int(status), code)
+        for status, codes in re.findall(r"^\| (\d{3}) \| (.*?) \|", PAGE, re.MULTILINE)
+        for code in re.findall(r"`(\w+)`", codes)
+    }
+    known = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, errors.CazslError)]
+    inner = {errors.RequestError, errors.UnavailableError, errors.DataError}
+    for kind in known:
+        if kind not in inner and not issubclass(kind, errors.RegistryError):
+            assert (int(kind.status), kind.code) in table, kind

@@ -1,0 +1,142 @@
+"""Generated requests, by schema and by mutation: no 5xx, bounded memory, and what is answered is what is documented.
+
+``CAZSL_FUZZ_REQUESTS`` says how many mutations; ``make fuzz`` makes 100,000 and prints what came of them.
+"""
+
+import asyncio
+import os
+import random
+import re
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, settings
+from schemathesis.checks import CHECKS, load_all_checks
+from starlette.types import Message
+
+from service.app import Service, create_app
+from service.loaded_models import LoadedModels
+from service.predictor import OnnxPredictor
+from service.registry import Registry
+from service.settings import Settings
+from tests.serving import ROOT
+
+REQUESTS = int(os.environ.get("CAZSL_FUZZ_REQUESTS", "5000"))
+GROWTH_MIB = 96.0
+REQUEST = re.compile(rb"(?P<method>[A-Z]+) (?P<path>/[!-~]*) HTTP/1.1\r\n(?P<head>.*?)\r\n\r\n(?P<body>.*)", re.DOTALL)
+PIECES = (b"0", b"-", b"1e999", b"NaN", b"null", b"[", b"]", b"{", b"}", b'"', b",", b":", b"\\ud800", b"\x00", b"\xff")
+
+
+def make_app() -> Service:
+    """The service over the models that ship."""
+    models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
+    models.refresh()
+    app = create_app(Settings(poll_interval_s=3600), models)
+    assert isinstance(app, Service)
+    return app
+
+
+schema = schemathesis.openapi.from_asgi("/openapi.json", make_app())
+load_all_checks()
+# What the fields of a prediction mean together (one form of context, in reach of the object, one row each) no JSON
+# schema says: bodies that each field allows may be a 422. Every other check holds for every operation.
+TOGETHER: list[Any] = list(CHECKS.get_by_names(["positive_data_acceptance"]))
+
+
+@schema.exclude(path_regex="^/v1/(predict|contexts)|/infer$").parametrize()
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+def test_every_answer_is_as_documented(case: schemathesis.Case[Any]) -> None:
+    """Statuses, types, schemas, methods: schemathesis with all its checks."""
+    case.call_and_validate()
+
+
+@schema.include(path_regex="^/v1/(predict|contexts)|/infer$").parametrize()
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+def test_every_answer_to_a_prediction_is_as_documented(case: schemathesis.Case[Any]) -> None:
+    """The same, but that what is right field by field may be wrong together."""
+    case.call_and_validate(excluded_checks=TOGETHER)
+
+
+class Corpus:
+    """Requests to begin with, and mutations of them."""
+
+    def __init__(self, seed: int) -> None:
+        files = sorted((ROOT / "tests" / "attacks" / "http").glob("*.http"))
+        self._found = [match for path in files if (match := REQUEST.fullmatch(path.read_bytes()))]
+        self._random = random.Random(seed)  # noqa: S311  # a test that can be repeated
+
+    def request(self) -> tuple[str, str, list[tuple[bytes, bytes]], bytes]:
+        """Method, path, headers and a body with a few pieces cut, repeated or replaced."""
+        match = self._random.choice(self._found)
+        lines = [line.partition(b": ") for line in match["head"].split(b"\r\n")]
+        headers = [(name.lower(), value) for name, _, value in lines if name.lower() != b"content-length"]
+        body = match["body"]
+        for _ in range(self._random.randint(0, 4)):
+            start = self._random.randint(0, len(body))
+            end = min(len(body), start + self._random.randint(0, 8))
+            put = self._random.choice((*PIECES, body[start:end] * 3, self._random.randbytes(3)))
+            body = body[:start] + put + body[end:]
+        path = match["path"].decode("ascii").partition("?")[0]
+        return match["method"].decode("ascii"), path, headers, body
+
+
+async def ask(app: Service, method: str, path: str, headers: list[tuple[bytes, bytes]], body: bytes) -> int:
+    """The status of the answer."""
+    sent: list[Message] = []
+
+    async def receive() -> Message:
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    async def send(message: Message) -> None:
+        sent.append(message)
+
+    scope: dict[str, Any] = {
+        "type": "http",
+        "http_version": "1.1",
+        "method": method,
+        "path": path,
+        "raw_path": path.encode(),
+        "root_path": "",
+        "scheme": "http",
+        "query_string": b"",
+        "headers": headers,
+        "client": ("127.0.0.1", 1),
+        "server": ("127.0.0.1", 8000),
+    }
+    await app(scope, receive, send)
+    return int(sent[0]["status"])
+
+
+def rss_mib() -> float:
+    """Memory that this process holds."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def test_no_mutation_of_an_attack_gets_a_5xx(caplog: pytest.LogCaptureFixture) -> None:
+    """Whatever comes: an answer or a refusal, bounded memory, and a prediction is answered after all of them."""
+    caplog.set_level("ERROR")
+    corpus, counts = Corpus(seed=0), Counter[tuple[str, int]]()
+    plain = b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"descriptor": "1a2b3c4a"}}'
+
+    async def scenario() -> float:
+        app, before = make_app(), 0.0
+        for number in range(REQUESTS):
+            method, path, headers, body = corpus.request()
+            status = await ask(app, method, path, headers, body)
+            assert status < 500, (method, path, headers, body)
+            counts[path if path.startswith(("/v1/predict", "/v1/contexts", "/v2")) else "others", status] += 1
+            if number == REQUESTS // 5:
+                before = rss_mib()
+        assert await ask(app, "POST", "/v1/predict", [(b"content-type", b"application/json")], plain) == 200
+        app.state.workers.close()
+        return rss_mib() - before
+
+    growth = asyncio.run(scenario())
+    print(f"\n{REQUESTS} requests, memory grew by {growth:.1f} MiB after the first fifth")  # noqa: T201  # the report
+    for (path, status), count in sorted(counts.items()):
+        print(f"{count:8d}  {status}  {path}")  # noqa: T201
+    assert growth < GROWTH_MIB
+    assert {status for _, status in counts} >= {200, 400, 404, 415, 422}
