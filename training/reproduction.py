@@ -14,6 +14,7 @@ from training import gaussian_process
 from training.evaluate import Evaluation, evaluate
 from training.experiments import GAUSSIAN_PROCESS, Cell, Experiment
 from training.fit import COST_FILE, fit
+from training.methods import METHODS
 from training.neural_process import NeuralProcess
 from training.recipes import SET_UPS
 from training.samples import TrainingData, read_training_data
@@ -37,12 +38,15 @@ class Result:
 def reproduce(
     experiment: Experiment, read: DataReader, folder: Path, seeds: int, epochs: int, quiet: bool = False
 ) -> list[Result]:
-    """Train and measure every cell with every seed, seed after seed, or go on where this folder stopped.
+    """Train and measure every cell with every seed, or go on where this folder stopped.
+
+    Seed after seed, so that a first look needs no patience; the neural process, an order dearer than all else, last.
 
     Raises:
         DataError: data are missing, or a folder holds runs of other data, recipes or code.
     """
     runs = [(cell, seed) for seed in range(seeds) for cell in experiment.cells]
+    runs.sort(key=lambda run: METHODS[run[0].method].neural_process)
     for cell, _ in runs:
         read(cell, 0)  # what is missing is said before hours of training
     results = []
