@@ -30,6 +30,7 @@ from service.manifest import (
 )
 from service.predictor import OnnxPredictor
 from service.registry import Registry
+from training.angles import wrapped
 from training.data import Pushes, published_normalisation
 from training.evaluate import COVERAGE_LEVELS, Evaluation, evaluate
 from training.networks import PushNetwork
@@ -80,7 +81,7 @@ class ServedNetwork(nn.Module):
 def wrap_last(pose: Tensor) -> Tensor:
     """Poses (n, 3) with their angle in (-pi, pi]."""
     position, angle = torch.split(pose, [2, 1], dim=-1)
-    return torch.cat([position, angle - 2.0 * math.pi * torch.ceil((angle - math.pi) / (2.0 * math.pi))], dim=-1)
+    return torch.cat([position, wrapped(angle)], dim=-1)
 
 
 def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:

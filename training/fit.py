@@ -20,17 +20,18 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
 import service
 from service.errors import DataError
 from training import neural_process
+from training.augmentation import augmented
 from training.evaluate import evaluate
 from training.losses import context_regulariser, gaussian_nll
-from training.methods import Method
 from training.networks import PUSH_SHAPES, PushNetwork, Shape
 from training.neural_process import NeuralProcess
-from training.recipes import Recipe, parse_recipe_record
+from training.recipes import CIRCULAR, Recipe, parse_recipe_record
 from training.samples import Samples, TrainingData
 
 CONFIG_FILE: Final = "config.json"
@@ -57,10 +58,12 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
     dtype = product_dtype(recipe.precision, device)
 
     torch.manual_seed(recipe.seed)
-    network = build_network(recipe.network(), train.shape).to(device)
-    adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
+    network = build_network(recipe, train.shape).to(device)
+    adam = optimiser(network, recipe)
+    average = running_average(network, recipe)
+    kept = network if average is None else average.module
     _open_run(folder, recipe, data)
-    first_epoch, seconds = _resume(folder, network, adam)
+    first_epoch, seconds = _resume(folder, network, adam, average)
 
     rmse, spent = float("nan"), seconds
     started = saved_at = time.monotonic()
@@ -78,11 +81,11 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
         ) as progress,
     ):
         for epoch in progress:
-            likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype)
+            likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype, average)
             last = epoch == recipe.epochs - 1
             line = {"epoch": epoch, "nll": likelihood, "regulariser": penalty}
             if last or epoch % HELD_OUT_EVERY_EPOCHS == 0:
-                rmse = evaluate(network, held_out).rmse
+                rmse = evaluate(kept, held_out).rmse
                 line["held_out_rmse"] = rmse
             metrics.write(json.dumps(line) + "\n")
             progress.set_postfix(loss=f"{likelihood + penalty:.3f}", held_out_rmse=f"{rmse:.3f}", refresh=False)
@@ -90,12 +93,12 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
             if last or now - saved_at > CHECKPOINT_EVERY_S:
                 metrics.flush()
                 spent = seconds + now - started
-                _save_checkpoint(folder, network, adam, epoch + 1, spent)
+                _save_checkpoint(folder, network, adam, average, epoch + 1, spent)
                 saved_at = now
     if first_epoch < recipe.epochs:
         _write_cost(folder, {"seconds": round(spent, 1), "device": device.type, "precision": str(dtype)[6:]})
-    _write_weights(folder, network)
-    return network.eval()
+    _write_weights(folder, kept)
+    return kept.eval()
 
 
 def train_epoch(
@@ -105,6 +108,7 @@ def train_epoch(
     recipe: Recipe,
     epoch: int,
     dtype: torch.dtype = torch.float32,
+    average: AveragedModel | None = None,
 ) -> tuple[float, float]:
     """One pass over all objects; the mean likelihood and penalty (regulariser, or divergence) over its batches."""
     rng = np.random.default_rng([recipe.seed, epoch])
@@ -115,11 +119,14 @@ def train_epoch(
     network.train()
     sums = torch.zeros(2, device=train.context.device)
     for step, batch in enumerate(batches, start=1 + epoch * len(batches)):
-        adam.param_groups[0]["lr"] = learning_rate(recipe, step)
-        likelihood, penalty = _loss_terms(network, train.select(batch), recipe, dtype)
+        adam.param_groups[0]["lr"] = learning_rate(recipe, step) * cooling(recipe, epoch)
+        met = augmented(train.select(batch), recipe.symmetries, recipe.no_contact, rng)
+        likelihood, penalty = _loss_terms(network, met, recipe, dtype)
         adam.zero_grad()
         torch.autograd.backward(likelihood + penalty)
         adam.step()
+        if average is not None:
+            average.update_parameters(network)
         sums += torch.stack([likelihood.detach(), penalty.detach()])
     mean_likelihood, mean_penalty = (sums / len(batches)).tolist()
     return mean_likelihood, mean_penalty
@@ -133,9 +140,35 @@ def learning_rate(recipe: Recipe, step: int) -> float:
     return recipe.learning_rate * math.sqrt(warm_up) * min(step / math.pow(warm_up, 1.5), 1.0 / math.sqrt(step))
 
 
-def build_network(method: Method, shape: Shape) -> Network:
-    """A fresh network of a method, from torch's generator."""
-    return NeuralProcess(shape.inputs, shape.outputs) if method.neural_process else PushNetwork(method, shape)
+def cooling(recipe: Recipe, epoch: int) -> float:
+    """The factor of the learning rate in an epoch: 1, and over the last epochs half a cosine down to 0."""
+    left = recipe.epochs - epoch
+    if left > recipe.cooling_epochs:
+        return 1.0
+    return 0.5 - 0.5 * math.cos(math.pi * left / (recipe.cooling_epochs + 1))
+
+
+def optimiser(network: Network, recipe: Recipe) -> torch.optim.Optimizer:
+    """Adam as the paper has it; AdamW where the recipe lets weights decay."""
+    parameters, rate = network.parameters(), recipe.learning_rate
+    if recipe.weight_decay > 0.0:
+        return torch.optim.AdamW(parameters, lr=rate, weight_decay=recipe.weight_decay, fused=True)
+    return torch.optim.Adam(parameters, lr=rate, fused=True)
+
+
+def running_average(network: Network, recipe: Recipe) -> AveragedModel | None:
+    """The exponential running average of a network's weights, None where the last weights are the ones to keep."""
+    if recipe.averaging == 0.0:
+        return None
+    return AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(recipe.averaging), use_buffers=True)
+
+
+def build_network(recipe: Recipe, shape: Shape) -> Network:
+    """A fresh network of a recipe, from torch's generator."""
+    method = recipe.network()
+    if method.neural_process:
+        return NeuralProcess(shape.inputs, shape.outputs)
+    return PushNetwork(method, shape, recipe.angle == CIRCULAR, recipe.least_std)
 
 
 def product_dtype(precision: str, device: torch.device) -> torch.dtype:
@@ -175,7 +208,7 @@ def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:
             f"{folder} is not a finished run; finish it with: cazsl-train fit RECIPE --run {folder}"
         ) from error
     recipe = parse_recipe_record(config["recipe"], str(folder / CONFIG_FILE))
-    network = build_network(recipe.network(), PUSH_SHAPES[recipe.context_kind])
+    network = build_network(recipe, PUSH_SHAPES[recipe.context_kind])
     network.load_state_dict(weights)
     return recipe, network.eval(), config["data"]
 
@@ -208,15 +241,24 @@ def _open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
 
 
 def _save_checkpoint(
-    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, seconds: float
+    folder: Path,
+    network: Network,
+    adam: torch.optim.Optimizer,
+    average: AveragedModel | None,
+    next_epoch: int,
+    seconds: float,
 ) -> None:
     part = folder / (CHECKPOINT_FILE + ".part")
     state = {"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch, "seconds": seconds}
+    if average is not None:
+        state["average"] = average.state_dict()
     torch.save(state, part)
     part.replace(folder / CHECKPOINT_FILE)
 
 
-def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, float]:
+def _resume(
+    folder: Path, network: Network, adam: torch.optim.Optimizer, average: AveragedModel | None
+) -> tuple[int, float]:
     """Load the last checkpoint, drop the metrics written after it; the epoch to go on with, and the seconds so far."""
     path, metrics = folder / CHECKPOINT_FILE, folder / METRICS_FILE
     next_epoch, seconds = 0, 0.0
@@ -224,6 +266,8 @@ def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tupl
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(checkpoint["network"])
         adam.load_state_dict(checkpoint["adam"])
+        if average is not None:
+            average.load_state_dict(checkpoint["average"])
         next_epoch, seconds = int(checkpoint["next_epoch"]), float(checkpoint["seconds"])
     if metrics.is_file():
         lines = metrics.read_text(encoding="utf-8").splitlines(keepends=True)

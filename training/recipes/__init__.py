@@ -3,7 +3,7 @@
 import math
 import tomllib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -20,6 +20,8 @@ SET_UPS: Final[dict[str, Callable[[], Split]]] = {
     "different-surfaces": different_surfaces,
     **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
 }
+CIRCULAR: Final = "circular"
+ANGLES: Final = ("raw", CIRCULAR)
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 
@@ -41,6 +43,14 @@ class Recipe:
         str  # of the wide matrix products: float32, bfloat16, or auto: bfloat16 where the processor multiplies it
     )
     seed: int
+    # Beyond the paper. Every default is the paper's training, and a record leaves out what is at its default.
+    angle: str = "raw"  # of the push, as the first layer takes it: raw radians, or circular: cosine and sine
+    symmetries: bool = False  # turn and mirror each object of a batch at random
+    no_contact: float = 0.0  # share of pushes that are replaced by pushes that miss
+    least_std: float = 0.0  # added to every predicted std, normalised: what even a perfect model could not know
+    weight_decay: float = 0.0  # of AdamW
+    averaging: float = 0.0  # decay per step of the running average of the weights, which is what is kept
+    cooling_epochs: int = 0  # at the end, in which the learning rate falls to 0 along half a cosine
 
     def network(self) -> Method:
         """The method that the recipe names."""
@@ -56,8 +66,9 @@ class Recipe:
         return SET_UPS[self.set_up]()
 
     def record(self) -> dict[str, str | int | float | bool]:
-        """The recipe as a flat document."""
-        return asdict(self)
+        """The recipe as a flat document, without what is at its default."""
+        found = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
+        return {name: value for name, (value, default) in found.items() if value != default}
 
 
 def read_recipe(name_or_path: str) -> Recipe:
@@ -97,12 +108,14 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
         DataError: names the field at fault.
     """
     wanted = {field.name: field.type for field in fields(Recipe)}
-    if set(values) != set(wanted):
-        odd = ", ".join(sorted(set(values) ^ set(wanted)))
+    required = {field.name for field in fields(Recipe) if field.default is MISSING}
+    if not required <= set(values) <= set(wanted):
+        odd = ", ".join(sorted((required - set(values)) | (set(values) - set(wanted))))
         raise DataError(f"{where}: missing or unknown: {odd}; a recipe has {', '.join(wanted)}")
-    for key, kind in wanted.items():
-        if type(values[key]) is not kind:
-            raise DataError(f"{where}: {key} is {values[key]!r}; expected {getattr(kind, '__name__', kind)}")
+    for key, value in values.items():
+        kind = wanted[key]
+        if type(value) is not kind:
+            raise DataError(f"{where}: {key} is {value!r}; expected {getattr(kind, '__name__', kind)}")
     if values["method"] not in METHODS:
         raise DataError(f"{where}: method is {values['method']!r}; expected one of {', '.join(METHODS)}")
     if values["set_up"] not in SET_UPS:
@@ -119,9 +132,26 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
     for key in ("lambda_1", "lambda_2", "warm_up_steps", "seed"):
         if not 0 <= values[key] < math.inf:
             raise DataError(f"{where}: {key} is {values[key]}; expected 0 or more")
+    _check_beyond_paper(Recipe(**values), where)
     if not is_name(values["name"]):
         raise DataError(f"{where}: name is {values['name']!r}; expected lower-case letters, digits, '-' and '_'")
     return Recipe(**values)
+
+
+def _check_beyond_paper(recipe: Recipe, where: str) -> None:
+    """Hold the fields that have defaults."""
+    shares = {"no_contact": recipe.no_contact, "averaging": recipe.averaging}
+    sizes = {"least_std": recipe.least_std, "weight_decay": recipe.weight_decay}
+    if recipe.angle not in ANGLES:
+        raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(ANGLES)}")
+    for key, share in shares.items():
+        if not 0.0 <= share < 1.0:
+            raise DataError(f"{where}: {key} is {share}; expected 0 or more, and less than 1")
+    for key, size in sizes.items():
+        if not 0.0 <= size < math.inf:
+            raise DataError(f"{where}: {key} is {size}; expected 0 or more")
+    if not 0 <= recipe.cooling_epochs <= recipe.epochs:
+        raise DataError(f"{where}: cooling_epochs is {recipe.cooling_epochs}; expected 0 to all {recipe.epochs} epochs")
 
 
 def recipe_names() -> list[str]:
