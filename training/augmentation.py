@@ -1,9 +1,9 @@
 """More pushes than were made, from what physics promises: symmetric scenes, and pushes that miss.
 
 An object's frame is a choice of which side is called the first, so a scene turned by quarters in it is a scene of the
-object turned. Shapes and weights are symmetric about their side's axis, so the mirrored scene is one of the object whose
-sides 2 and 4 are swapped. And a push that touches nothing moves nothing. The published data hold almost none of the
-last, and each object under one name only.
+object turned. Shapes and weights are symmetric about their side's axis, so the mirrored scene is one of the object
+whose sides 2 and 4 are swapped. And a push that touches nothing moves nothing. The published data hold almost none of
+the last, and each object under one name only.
 """
 
 import math
@@ -53,7 +53,7 @@ def in_symmetric_frames(samples: Samples, quarter_turns: Tensor, mirrored: Tenso
     handedness = 1.0 - 2.0 * mirrored.float()
     cosine, sine = torch.tensor([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]], device=device)[:, quarter_turns]
     # (objects, 2, 2), the transpose of turn @ mirror: rows of positions are multiplied from the left
-    change = torch.stack([cosine, sine, -sine * handedness, cosine * handedness], dim=-1).unflatten(-1, (2, 2))
+    change = torch.stack([cosine, sine, -sine * handedness, cosine * handedness], dim=-1).reshape(-1, 2, 2)
 
     def moved(poses: Tensor, mean: Floats, std: Floats, quarters: Tensor) -> Tensor:
         """Normalised poses (objects, pushes, 3) in the new frames."""
@@ -106,7 +106,7 @@ def _symmetric_context(context: Tensor, quarter_turns: Tensor, mirrored: Tensor)
     if context.dim() == 2:
         sides = torch.arange(SIDES, device=context.device) - quarter_turns[:, None]  # (objects, 4): where each was
         sides = torch.where(mirrored[:, None] > 0, -sides, sides) % SIDES
-        by_side = context.unflatten(-1, (SIDES, BITS_PER_SIDE))
+        by_side = context.reshape(-1, SIDES, BITS_PER_SIDE)
         return by_side.take_along_dim(sides[..., None], dim=1).flatten(1)
     upright = torch.where(mirrored[:, None, None, None] > 0, context.flip(-2), context)
     turned = torch.stack([torch.rot90(upright, quarters, (-2, -1)) for quarters in range(SIDES)])

@@ -7,6 +7,7 @@ and gathered per push. Before anything is published, onnxruntime must agree with
 import logging
 import math
 import warnings
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Final
 
@@ -159,24 +160,35 @@ def publish(
     pushes: Pushes,
     registry: Registry,
     image_convention: str | None = None,
+    measured: tuple[Recipe, PushNetwork | NeuralProcess] | None = None,
 ) -> Manifest:
     """Measure, export, check and publish a fitted network as the next version of the recipe's model.
 
-    ``image_convention`` says how the views were taken that a visual model was trained on.
+    ``image_convention`` says how the views were taken that a visual model was trained on. Of a recipe that holds no
+    object out, ``measured`` is the same recipe and its network on a set-up that does: the figures are theirs.
 
     Raises:
         PublishError: the graph disagrees with torch, or the disk refused; nothing became visible.
-        DataError: the data lack objects of the split, or the method is not one to serve.
+        DataError: the data lack objects of the split, the method is not one to serve, or nothing was held out.
     """
     kind = recipe.context_kind
     split = recipe.split()
-    if not isinstance(network, PushNetwork) or split.test_surface is not None:
+    judged, judge = (recipe, network) if measured is None else measured
+    if replace(judged, set_up=recipe.set_up) != recipe:
+        raise DataError(f"the run of {judged.name} that was measured is of another recipe; only set_up may differ")
+    set_up = judged.split()
+    if not set_up.test:
+        raise DataError(
+            f"{recipe.name} was trained on every object, so no figure of its own would be honest; train the same "
+            "recipe with --set-up different-objects, and publish with --measured and the folder of that run"
+        )
+    if not isinstance(network, PushNetwork) or set_up.test_surface is not None:
         raise DataError(
             f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
             "surface it was trained on; publish another method, or a run of another set-up"
         )
-    train, held_out = pushes.select(split.train), pushes.select(split.test)
-    found = evaluate(network, Samples.of(held_out, kind))
+    train, held_out = pushes.select(split.train), pushes.select(set_up.test)
+    found = evaluate(judge, Samples.of(held_out, kind))
     if not math.isfinite(found.nll):
         raise PublishError("the network's held-out figures are not finite; nothing was published")
     model = export_onnx(network, kind)
@@ -204,17 +216,25 @@ def publish(
             held_out_pushes=held_out.count,
         ),
         code_version=service.__version__,
-        metrics={split.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
-        calibration={split.name: _calibration(found)},
+        metrics={set_up.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
+        calibration={set_up.name: _calibration(found)},
         self_check=_self_check(model, kind),
         files={},
     )
     return registry.publish(draft, model, render_card(draft, found, train, parity))
 
 
+_BORROWED: Final = (
+    "This version was trained on every object, so figures of its own would be no held-out ones. These are of the same "
+    "recipe trained on `{set_up}` and measured there; this version has seen more objects than that.\n\n"
+)
+
+
 def render_card(draft: Manifest, found: Evaluation, train: Pushes, parity: float) -> str:
     """The model card: what it is, on what it was trained, how good it is, what not to expect of it."""
     data, recipe = draft.data, draft.recipe
+    (set_up,) = draft.metrics
+    whose = "" if set_up == data.split else _BORROWED.format(set_up=set_up)
     sharpness = dict(zip(POSE_NAMES, found.sharpness, strict=True))
     x_m, y_m, angle_rad = train.pushers[train.valid > 0].T
     nearest, furthest = 1000 * np.quantile(np.hypot(x_m, y_m), (0.0, 1.0))  # mm
@@ -238,7 +258,7 @@ Parameters of the last epoch of this recipe:
 
 ## Held-out objects
 
-{data.held_out_objects} objects that the training never saw, {data.held_out_pushes} pushes:
+{whose}{data.held_out_objects} objects that the training never saw, {data.held_out_pushes} pushes:
 
 | RMSE | STD | Dist. (mm) | NLL | 50 % coverage | 90 % coverage | 95 % coverage |
 |---|---|---|---|---|---|---|

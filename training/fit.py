@@ -13,7 +13,7 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 import torch
@@ -61,7 +61,7 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
     network = build_network(recipe, train.shape).to(device)
     adam = optimiser(network, recipe)
     average = running_average(network, recipe)
-    kept = network if average is None else average.module
+    kept = network if average is None else cast(Network, average.module)
     _open_run(folder, recipe, data)
     first_epoch, seconds = _resume(folder, network, adam, average)
 
@@ -84,7 +84,7 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
             likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype, average)
             last = epoch == recipe.epochs - 1
             line = {"epoch": epoch, "nll": likelihood, "regulariser": penalty}
-            if last or epoch % HELD_OUT_EVERY_EPOCHS == 0:
+            if len(held_out.inputs) > 0 and (last or epoch % HELD_OUT_EVERY_EPOCHS == 0):
                 rmse = evaluate(kept, held_out).rmse
                 line["held_out_rmse"] = rmse
             metrics.write(json.dumps(line) + "\n")
@@ -160,7 +160,8 @@ def running_average(network: Network, recipe: Recipe) -> AveragedModel | None:
     """The exponential running average of a network's weights, None where the last weights are the ones to keep."""
     if recipe.averaging == 0.0:
         return None
-    return AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(recipe.averaging), use_buffers=True)
+    average = get_ema_multi_avg_fn(recipe.averaging)  # type: ignore[no-untyped-call]  # torch leaves it untyped
+    return AveragedModel(network, multi_avg_fn=average, use_buffers=True)
 
 
 def build_network(recipe: Recipe, shape: Shape) -> Network:

@@ -12,10 +12,11 @@ from typing import Any, Final
 from service.contract import ContextKind
 from service.errors import DataError
 from service.manifest import is_name
-from training.data import Split, different_objects, different_surfaces, different_weights
+from training.data import Split, all_objects, different_objects, different_surfaces, different_weights
 from training.methods import METHODS, Method
 
 SET_UPS: Final[dict[str, Callable[[], Split]]] = {
+    "all-objects": all_objects,
     "different-objects": different_objects,
     "different-surfaces": different_surfaces,
     **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
