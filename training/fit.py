@@ -13,14 +13,13 @@ import math
 import sys
 import time
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import numpy as np
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from tqdm import tqdm
 
 import service
@@ -59,11 +58,9 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
 
     torch.manual_seed(recipe.seed)
     network = build_network(recipe, train.shape).to(device)
-    adam = optimiser(network, recipe)
-    average = running_average(network, recipe)
-    kept = network if average is None else cast(Network, average.module)
+    adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
     _open_run(folder, recipe, data)
-    first_epoch, seconds = _resume(folder, network, adam, average)
+    first_epoch, seconds = _resume(folder, network, adam)
 
     rmse, spent = float("nan"), seconds
     started = saved_at = time.monotonic()
@@ -81,11 +78,11 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
         ) as progress,
     ):
         for epoch in progress:
-            likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype, average)
+            likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype)
             last = epoch == recipe.epochs - 1
             line = {"epoch": epoch, "nll": likelihood, "regulariser": penalty}
             if len(held_out.inputs) > 0 and (last or epoch % HELD_OUT_EVERY_EPOCHS == 0):
-                rmse = evaluate(kept, held_out).rmse
+                rmse = evaluate(network, held_out).rmse
                 line["held_out_rmse"] = rmse
             metrics.write(json.dumps(line) + "\n")
             progress.set_postfix(loss=f"{likelihood + penalty:.3f}", held_out_rmse=f"{rmse:.3f}", refresh=False)
@@ -93,12 +90,12 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
             if last or now - saved_at > CHECKPOINT_EVERY_S:
                 metrics.flush()
                 spent = seconds + now - started
-                _save_checkpoint(folder, network, adam, average, epoch + 1, spent)
+                _save_checkpoint(folder, network, adam, epoch + 1, spent)
                 saved_at = now
     if first_epoch < recipe.epochs:
         _write_cost(folder, {"seconds": round(spent, 1), "device": device.type, "precision": str(dtype)[6:]})
-    _write_weights(folder, kept)
-    return kept.eval()
+    _write_weights(folder, network)
+    return network.eval()
 
 
 def train_epoch(
@@ -108,7 +105,6 @@ def train_epoch(
     recipe: Recipe,
     epoch: int,
     dtype: torch.dtype = torch.float32,
-    average: AveragedModel | None = None,
 ) -> tuple[float, float]:
     """One pass over all objects; the mean likelihood and penalty (regulariser, or divergence) over its batches."""
     rng = np.random.default_rng([recipe.seed, epoch])
@@ -125,8 +121,6 @@ def train_epoch(
         adam.zero_grad()
         torch.autograd.backward(likelihood + penalty)
         adam.step()
-        if average is not None:
-            average.update_parameters(network)
         sums += torch.stack([likelihood.detach(), penalty.detach()])
     mean_likelihood, mean_penalty = (sums / len(batches)).tolist()
     return mean_likelihood, mean_penalty
@@ -142,26 +136,10 @@ def learning_rate(recipe: Recipe, step: int) -> float:
 
 def cooling(recipe: Recipe, epoch: int) -> float:
     """The factor of the learning rate in an epoch: 1, and over the last epochs half a cosine down to 0."""
-    left = recipe.epochs - epoch
-    if left > recipe.cooling_epochs:
+    left, cooling_epochs = recipe.epochs - epoch, recipe.cooling_epochs
+    if cooling_epochs == 0 or left > cooling_epochs:
         return 1.0
-    return 0.5 - 0.5 * math.cos(math.pi * left / (recipe.cooling_epochs + 1))
-
-
-def optimiser(network: Network, recipe: Recipe) -> torch.optim.Optimizer:
-    """Adam as the paper has it; AdamW where the recipe lets weights decay."""
-    parameters, rate = network.parameters(), recipe.learning_rate
-    if recipe.weight_decay > 0.0:
-        return torch.optim.AdamW(parameters, lr=rate, weight_decay=recipe.weight_decay, fused=True)
-    return torch.optim.Adam(parameters, lr=rate, fused=True)
-
-
-def running_average(network: Network, recipe: Recipe) -> AveragedModel | None:
-    """The exponential running average of a network's weights, None where the last weights are the ones to keep."""
-    if recipe.averaging == 0.0:
-        return None
-    average = get_ema_multi_avg_fn(recipe.averaging)  # type: ignore[no-untyped-call]  # torch leaves it untyped
-    return AveragedModel(network, multi_avg_fn=average, use_buffers=True)
+    return 0.5 - 0.5 * math.cos(math.pi * left / (cooling_epochs + 1))
 
 
 def build_network(recipe: Recipe, shape: Shape) -> Network:
@@ -242,24 +220,15 @@ def _open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
 
 
 def _save_checkpoint(
-    folder: Path,
-    network: Network,
-    adam: torch.optim.Optimizer,
-    average: AveragedModel | None,
-    next_epoch: int,
-    seconds: float,
+    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, seconds: float
 ) -> None:
     part = folder / (CHECKPOINT_FILE + ".part")
     state = {"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch, "seconds": seconds}
-    if average is not None:
-        state["average"] = average.state_dict()
     torch.save(state, part)
     part.replace(folder / CHECKPOINT_FILE)
 
 
-def _resume(
-    folder: Path, network: Network, adam: torch.optim.Optimizer, average: AveragedModel | None
-) -> tuple[int, float]:
+def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, float]:
     """Load the last checkpoint, drop the metrics written after it; the epoch to go on with, and the seconds so far."""
     path, metrics = folder / CHECKPOINT_FILE, folder / METRICS_FILE
     next_epoch, seconds = 0, 0.0
@@ -267,8 +236,6 @@ def _resume(
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(checkpoint["network"])
         adam.load_state_dict(checkpoint["adam"])
-        if average is not None:
-            average.load_state_dict(checkpoint["average"])
         next_epoch, seconds = int(checkpoint["next_epoch"]), float(checkpoint["seconds"])
     if metrics.is_file():
         lines = metrics.read_text(encoding="utf-8").splitlines(keepends=True)

@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,9 +134,9 @@ def test_fit_without_data_names_the_folder(tmp_path: Path) -> None:
 
 def test_fit_of_an_unknown_recipe_lists_those_that_exist(data_folder: Path, tmp_path: Path) -> None:
     """One line has the names that would have worked."""
-    line = sole_line(cazsl_train("fit", "push-visual", "--data", data_folder, "--run", tmp_path / "run"))
+    line = sole_line(cazsl_train("fit", "push-smell", "--data", data_folder, "--run", tmp_path / "run"))
 
-    assert "push-indicator, push-none" in line
+    assert "paper, push-indicator, push-none, push-visual" in line
 
 
 def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: Path) -> None:
@@ -341,7 +341,7 @@ def test_a_visual_model_is_fitted_evaluated_and_published_with_its_views(
     """Views are named with --views, the next command repeats them, and the manifest has their convention."""
     views, path, run = tmp_path / "views", tmp_path / "push-visual.toml", tmp_path / "run"
     write_views(views, omnipush_descriptors(), quiet=True)
-    fields = asdict(replace(recipe, name="push-visual", context="visual", epochs=1))
+    fields = replace(recipe, name="push-visual", context="visual", epochs=1).record()
     path.write_text("".join(f"{key} = {value!r}\n" for key, value in fields.items()), encoding="utf-8")
     options = ("--data", data_folder, "--views", views)
 

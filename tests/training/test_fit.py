@@ -113,10 +113,10 @@ def test_an_interrupted_run_ends_in_the_same_weights(
 def test_an_interrupted_run_beyond_the_paper_ends_in_the_same_weights(
     recipe: Recipe, viewed_pushes: Pushes, tmp_path: Path, context: str
 ) -> None:
-    """What is drawn for augmentation, and the average of the weights, survive a kill as well."""
+    """What is drawn for augmentation survives a kill as well."""
     method = "FCN" if context == "none" else recipe.method
     better = replace(recipe, method=method, context=context, epochs=4, angle="circular", symmetries=True)
-    better = replace(better, no_contact=0.2, least_std=0.02, averaging=0.9, weight_decay=0.01)
+    better = replace(better, no_contact=0.2, least_std=0.02)
     train_run(better, viewed_pushes, tmp_path / "whole")
     run = interrupted(tmp_path / "interrupted", better, 2, viewed_pushes, tmp_path / "scratch")
 
@@ -133,8 +133,6 @@ def test_an_interrupted_run_beyond_the_paper_ends_in_the_same_weights(
         {"symmetries": True},
         {"no_contact": 0.2},
         {"least_std": 0.02},
-        {"weight_decay": 0.1},
-        {"averaging": 0.9},
         {"cooling_epochs": 2},
     ],
     ids=lambda change: next(iter(change)),
@@ -149,20 +147,6 @@ def test_each_field_beyond_the_paper_changes_the_training(
 
     assert np.isfinite(figures).all()
     assert figures[0] != figures[1]
-
-
-def test_the_running_average_is_what_is_kept(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
-    """It moves by a share of each step: after one step most of it is where that step led, after more it lags behind."""
-    one_step = replace(recipe, batch_objects=200, epochs=1)
-    plain = train_run(one_step, pushes, tmp_path / "plain")
-    averaged = train_run(replace(one_step, averaging=0.75), pushes, tmp_path / "averaged")
-    last = train_run(replace(one_step, epochs=2), pushes, tmp_path / "last")
-    lagging = train_run(replace(one_step, epochs=2, averaging=0.75), pushes, tmp_path / "lagging")
-
-    first, second = plain.state_dict(), last.state_dict()
-    assert all(torch.equal(first[name], value) for name, value in averaged.state_dict().items())
-    for name, value in lagging.state_dict().items():
-        assert torch.allclose(value, 0.75 * first[name] + 0.25 * second[name], atol=1e-6)
 
 
 def test_the_learning_rate_cools_to_nothing_over_the_last_epochs(recipe: Recipe) -> None:

@@ -68,8 +68,6 @@ BEYOND_PAPER = {
     "symmetries": True,
     "no_contact": 0.1,
     "least_std": 0.02,
-    "weight_decay": 0.01,
-    "averaging": 0.99,
     "cooling_epochs": 2,
 }
 
@@ -144,10 +142,7 @@ def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, ex
         pytest.param("lambda_1", float("nan"), id="a lambda that is no number"),
         pytest.param("angle", "square", id="an unknown angle"),
         pytest.param("no_contact", 1.0, id="nothing but misses"),
-        pytest.param("averaging", 1.0, id="an average that never moves"),
-        pytest.param("averaging", -0.1, id="a negative average"),
         pytest.param("least_std", float("inf"), id="an infinite std"),
-        pytest.param("weight_decay", -0.1, id="growing weights"),
         pytest.param("cooling_epochs", 4, id="more cooling than epochs"),
         pytest.param("seed", -1, id="a negative seed, which no generator takes"),
         pytest.param("name", "Push Indicator", id="a name that no registry takes"),

@@ -49,8 +49,6 @@ class Recipe:
     symmetries: bool = False  # turn and mirror each object of a batch at random
     no_contact: float = 0.0  # share of pushes that are replaced by pushes that miss
     least_std: float = 0.0  # added to every predicted std, normalised: what even a perfect model could not know
-    weight_decay: float = 0.0  # of AdamW
-    averaging: float = 0.0  # decay per step of the running average of the weights, which is what is kept
     cooling_epochs: int = 0  # at the end, in which the learning rate falls to 0 along half a cosine
 
     def network(self) -> Method:
@@ -141,16 +139,12 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
 
 def _check_beyond_paper(recipe: Recipe, where: str) -> None:
     """Hold the fields that have defaults."""
-    shares = {"no_contact": recipe.no_contact, "averaging": recipe.averaging}
-    sizes = {"least_std": recipe.least_std, "weight_decay": recipe.weight_decay}
     if recipe.angle not in ANGLES:
         raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(ANGLES)}")
-    for key, share in shares.items():
-        if not 0.0 <= share < 1.0:
-            raise DataError(f"{where}: {key} is {share}; expected 0 or more, and less than 1")
-    for key, size in sizes.items():
-        if not 0.0 <= size < math.inf:
-            raise DataError(f"{where}: {key} is {size}; expected 0 or more")
+    if not 0.0 <= recipe.no_contact < 1.0:
+        raise DataError(f"{where}: no_contact is {recipe.no_contact}; expected 0 or more, and less than 1")
+    if not 0.0 <= recipe.least_std < math.inf:
+        raise DataError(f"{where}: least_std is {recipe.least_std}; expected 0 or more")
     if not 0 <= recipe.cooling_epochs <= recipe.epochs:
         raise DataError(f"{where}: cooling_epochs is {recipe.cooling_epochs}; expected 0 to all {recipe.epochs} epochs")
 
