@@ -41,7 +41,7 @@ def main() -> None:
     cazsl-train simulate                        62,500 pushes of 250 objects on ABS, 2,500 of 10 on plywood
     cazsl-train data check FOLDER               is this copy of Omnipush fit to train on?
     cazsl-train images --camera                 their top-down views as a camera would see them
-    cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
+    cazsl-train fit push-indicator              the served model into runs/push-indicator; the paper's: fit paper
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
     cazsl-train reproduce --all                 every table of the paper, beside the paper's own figures
@@ -150,7 +150,15 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
 @click.option("--set-up", type=click.Choice([*recipes.SET_UPS]), help="Train the recipe on this set-up instead.")
 @mend
 def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, set_up: str | None) -> None:
-    """Train a RECIPE: the name of one that ships (push-indicator, push-none, push-visual, paper) or a .toml file."""
+    """Train a RECIPE: the name of one that ships (push-indicator, push-visual, push-none, paper) or a .toml file.
+
+    A model for robots may learn from all objects, once its recipe was measured on objects that it had not seen:
+
+    \b
+    cazsl-train fit push-indicator
+    cazsl-train fit push-indicator --set-up all-objects
+    cazsl-train publish runs/push-indicator-all-objects --measured runs/push-indicator
+    """
     run = run or RUNS / "-".join(filter(None, (Path(recipe).stem, set_up)))
     wanted = recipes.read_recipe(recipe)
     wanted = wanted if set_up is None else replace(wanted, set_up=set_up)
