@@ -9,7 +9,6 @@ from typing import Final
 import click
 
 import service
-from service.contract import ContextKind
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import NOWHERE, Registry
 from training import export, fit, images, recipes, reproduction, simulate
@@ -152,18 +151,17 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
 def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, set_up: str | None) -> None:
     """Train a RECIPE: the name of one that ships (push-indicator, push-visual, push-none, paper) or a .toml file.
 
-    A model for robots may learn from all objects, once its recipe was measured on objects that it had not seen:
-
     \b
-    cazsl-train fit push-indicator
-    cazsl-train fit push-indicator --set-up all-objects
-    cazsl-train publish runs/push-indicator-all-objects --measured runs/push-indicator
+    To serve what learnt from all objects, with the figures of a run of RECIPE that held some out:
+    cazsl-train fit RECIPE --set-up all-objects
+    cazsl-train publish runs/RECIPE-all-objects --measured runs/RECIPE
     """
     run = run or RUNS / "-".join(filter(None, (Path(recipe).stem, set_up)))
     wanted = recipes.read_recipe(recipe)
     wanted = wanted if set_up is None else replace(wanted, set_up=set_up)
     fit.fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views), run)
-    click.echo(f"weights and metrics are in {run}; next: cazsl-train evaluate {run}{_data_words(folder, views)}")
+    following = f"evaluate {run}" if wanted.split().test else f"publish {run} --measured RUN"
+    click.echo(f"weights and metrics are in {run}; next: cazsl-train {following}{_data_words(folder, views)}")
 
 
 @main.command("evaluate")
@@ -176,7 +174,7 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     recipe, network, _ = fit.load_run(run)
     split = recipe.split()
     if not split.test:
-        raise click.ClickException(f"{run} was trained on every object; evaluate the same recipe on different-objects")
+        raise click.ClickException(f"{run} was trained on every object; evaluate its recipe on different-objects")
     data = read_training_data(split, recipe.context_kind, folder, views)
     found = evaluate_network(network, data.held_out)
     source = data.origin.get("held_out_source", data.origin["source"])
@@ -219,8 +217,7 @@ def publish(
                 f"{folder} is not the data that {path} was trained on; name that with --data, other views with --views"
             )
     store = Registry(registry)
-    visual = recipe.context_kind is ContextKind.VISUAL
-    convention = images.convention_of(views or views_beside(folder)) if visual else None
+    convention = None if pushes.views is None else images.convention_of(views or views_beside(folder))
     manifest = export.publish(recipe, network, pushes, store, convention, None if judged is None else judged[:2])
     click.echo(f"published {manifest.name}@{manifest.version} in {registry}")
     if no_alias or alias in store.aliases(manifest.name):

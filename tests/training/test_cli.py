@@ -227,7 +227,8 @@ def test_a_model_of_all_objects_is_published_with_the_figures_of_a_run_that_held
     run, options = tmp_path / "run", ("--data", data_folder)
     publishing = ("publish", run, *options, "--registry", registry.root)
 
-    assert cazsl_train("fit", path, *options, "--run", run, "--set-up", "all-objects").exit_code == 0
+    fitted = cazsl_train("fit", path, *options, "--run", run, "--set-up", "all-objects")
+    assert f"publish {run} --measured RUN" in fitted.stdout
     assert "different-objects" in sole_line(cazsl_train("evaluate", run, *options))
     assert "--set-up different-objects" in sole_line(cazsl_train(*publishing))
     assert not registry.root.exists()
