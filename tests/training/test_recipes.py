@@ -34,7 +34,7 @@ def test_a_served_recipe_is_the_paper_s_method_on_all_that_physics_promises(name
     assert found.name == name
     assert is_name(found.name)
     assert found.context_kind == name.removeprefix("push-")
-    assert found.network() is METHODS["FCN" if name == "push-none" else "FCN + CM + L2Reg"]
+    assert found.network() is METHODS["FCN" if name == "push-none" else "FCN + CM"]
     assert found.split() == different_objects()
     assert (found.angle, found.symmetries) == ("circular", True)
     assert 0.0 < found.no_contact < 0.5
