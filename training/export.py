@@ -171,8 +171,7 @@ def publish(
         PublishError: the graph disagrees with torch, or the disk refused; nothing became visible.
         DataError: the data lack objects of the split, the method is not one to serve, or nothing was held out.
     """
-    kind = recipe.context_kind
-    split = recipe.split()
+    kind, split = recipe.context_kind, recipe.split()
     judged, judge = (recipe, network) if measured is None else measured
     if replace(judged, set_up=recipe.set_up) != recipe:
         raise DataError(f"the run of {judged.name} that was measured is of another recipe; only set_up may differ")
@@ -188,7 +187,8 @@ def publish(
             "surface it was trained on; publish another method, or a run of another set-up"
         )
     train, held_out = pushes.select(split.train), pushes.select(set_up.test)
-    found = evaluate(judge, Samples.of(held_out, kind))
+    samples = Samples.of(held_out, kind)
+    found = evaluate(judge, samples)
     if not math.isfinite(found.nll):
         raise PublishError("the network's held-out figures are not finite; nothing was published")
     model = export_onnx(network, kind)
@@ -218,7 +218,7 @@ def publish(
         code_version=service.__version__,
         metrics={set_up.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
         calibration={set_up.name: _calibration(found)},
-        self_check=_self_check(model, kind),
+        self_check=_self_check(model, kind, samples),
         files={},
     )
     return registry.publish(draft, model, render_card(draft, found, train, parity))
@@ -284,9 +284,11 @@ def _calibration(found: Evaluation) -> Calibration:
     return Calibration("none", coverage_50, coverage_90, coverage_95, list(found.sharpness))
 
 
-def _self_check(model: bytes, kind: ContextKind) -> SelfCheck:
-    """A small batch with the answers of the graph itself, for every later load."""
+def _self_check(model: bytes, kind: ContextKind, samples: Samples) -> SelfCheck:
+    """A small batch with the answers of the graph itself, for every later load; its views are turned by the gates."""
     batch = probe_batch(kind, pushes=4, objects=2, seed=4)
+    if kind is ContextKind.VISUAL:  # of objects that exist: what symmetry a network learnt holds for those
+        batch = replace(batch, context=samples.context[:2].numpy())
     mean, std = OnnxPredictor(model, kind).predict(batch.pusher, batch.context, batch.context_index)
     return SelfCheck(
         pusher=batch.pusher.tolist(),

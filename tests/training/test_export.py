@@ -453,6 +453,17 @@ def test_every_served_method_becomes_a_graph_that_agrees_with_it(name: str, kind
     assert b"distance" not in graph, "what only the training needs is not served"
 
 
+def test_a_visual_version_carries_views_of_objects_that_it_has_not_seen(
+    registry: Registry, viewed_pushes: Pushes, recipe: Recipe
+) -> None:
+    """Its self-check and the gate that turns them are about objects, not about noise."""
+    check = registry.read("push-visual", 1).manifest.self_check
+    views = viewed_pushes.select(recipe.split().test[:2]).views
+    assert views is not None
+
+    assert np.array(check.context, dtype=np.float32) == pytest.approx(views.reshape(2, -1) / np.float32(255.0))
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_network_beyond_the_paper_becomes_a_graph_that_agrees_with_it(kind: ContextKind) -> None:
     """Circular angle and least std are inside the graph, which still takes poses of three numbers; pi has no seam."""
