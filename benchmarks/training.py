@@ -97,7 +97,7 @@ class OurEpochs:
     def __init__(self, recipe: Recipe, train: Samples) -> None:
         torch.manual_seed(0)
         self.recipe, self.train, self.done = recipe, train, 0
-        self.network: Network = build_network(recipe.network(), train.shape)
+        self.network: Network = build_network(recipe, train.shape)
         self.adam = torch.optim.Adam(self.network.parameters(), lr=recipe.learning_rate, fused=True)
         self.dtype = product_dtype(recipe.precision, torch.device("cpu"))
 

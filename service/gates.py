@@ -3,7 +3,7 @@
 Tolerances have one basis: the candidate's own held-out RMSE, in units of the published output deviations. A law of
 physics that an answer breaks by no more than the model errs anyway is not broken; two answers that should agree, each
 with that error, may differ by sqrt(2) of it. Held-out figures are those of the manifests, and count as compared only
-where both versions were measured on the same data and split.
+where both versions were measured on the same data and set-up.
 """
 
 import math
@@ -128,7 +128,7 @@ def _wrapped(angle_rad: Array) -> Array:
 def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]:
     """Held-out likelihood and coverage, set-up by set-up of the champion."""
     ours, theirs = candidate.manifest, champion.manifest
-    same = (ours.data.sha256, ours.data.split) == (theirs.data.sha256, theirs.data.split)
+    same = ours.data.sha256 == theirs.data.sha256  # figures are named by the set-up that they were measured on
     for set_up in sorted(theirs.metrics):
         if not same or set_up not in ours.metrics:
             meaning = f"{set_up}: measured on other data than version {theirs.version}, and so not comparable"

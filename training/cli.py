@@ -2,13 +2,13 @@
 
 import hashlib
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import click
 
 import service
-from service.contract import ContextKind
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import NOWHERE, Registry
 from training import export, fit, images, recipes, reproduction, simulate
@@ -40,7 +40,7 @@ def main() -> None:
     cazsl-train simulate                        62,500 pushes of 250 objects on ABS, 2,500 of 10 on plywood
     cazsl-train data check FOLDER               is this copy of Omnipush fit to train on?
     cazsl-train images --camera                 their top-down views as a camera would see them
-    cazsl-train fit push-indicator              the paper's FCN + CM + L2Reg into runs/push-indicator
+    cazsl-train fit push-indicator              the served model into runs/push-indicator; the paper's: fit paper
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
     cazsl-train reproduce --all                 every table of the paper, beside the paper's own figures
@@ -146,13 +146,22 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
 @data_option
 @views_option
 @click.option("--run", type=click.Path(file_okay=False, path_type=Path), help="The run folder. [default: runs/RECIPE]")
+@click.option("--set-up", type=click.Choice([*recipes.SET_UPS]), help="Train the recipe on this set-up instead.")
 @mend
-def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None) -> None:
-    """Train a RECIPE: the name of one that ships (push-indicator, push-none) or a .toml file."""
-    run = run or RUNS / Path(recipe).stem
+def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, set_up: str | None) -> None:
+    """Train a RECIPE: the name of one that ships (push-indicator, push-visual, push-none, paper) or a .toml file.
+
+    \b
+    To serve what learnt from all objects, with the figures of a run of RECIPE that held some out:
+    cazsl-train fit RECIPE --set-up all-objects
+    cazsl-train publish runs/RECIPE-all-objects --measured runs/RECIPE
+    """
+    run = run or RUNS / "-".join(filter(None, (Path(recipe).stem, set_up)))
     wanted = recipes.read_recipe(recipe)
+    wanted = wanted if set_up is None else replace(wanted, set_up=set_up)
     fit.fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views), run)
-    click.echo(f"weights and metrics are in {run}; next: cazsl-train evaluate {run}{_data_words(folder, views)}")
+    following = f"evaluate {run}" if wanted.split().test else f"publish {run} --measured RUN"
+    click.echo(f"weights and metrics are in {run}; next: cazsl-train {following}{_data_words(folder, views)}")
 
 
 @main.command("evaluate")
@@ -164,6 +173,8 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects."""
     recipe, network, _ = fit.load_run(run)
     split = recipe.split()
+    if not split.test:
+        raise click.ClickException(f"{run} was trained on every object; evaluate its recipe on different-objects")
     data = read_training_data(split, recipe.context_kind, folder, views)
     found = evaluate_network(network, data.held_out)
     source = data.origin.get("held_out_source", data.origin["source"])
@@ -181,8 +192,15 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     "--alias", default=DEFAULT_ALIAS, show_default=True, help="Point this alias here if it names nothing yet."
 )
 @click.option("--no-alias", is_flag=True, help="Publish only, even as the first version.")
+@click.option(
+    "--measured",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Of a RUN on all objects: a run of the same recipe that held some out, whose figures these are.",
+)
 @mend
-def publish(run: Path, folder: Path, views: Path | None, registry: Path, alias: str, no_alias: bool) -> None:
+def publish(
+    run: Path, folder: Path, views: Path | None, registry: Path, alias: str, no_alias: bool, measured: Path | None
+) -> None:
     """Publish a finished RUN as the next version of its model; a running service picks it up by itself.
 
     A first version becomes the champion. Later ones are served by their number, and an alias that already serves is
@@ -192,14 +210,15 @@ def publish(run: Path, folder: Path, views: Path | None, registry: Path, alias: 
     pushes = read_pushes(folder, recipe.context_kind, views)
     if not is_alias(alias):
         raise click.ClickException("an alias is of lower-case letters, digits, '-' and '_', and not a number")
-    if pushes.digest != trained_on["sha256"]:
-        raise click.ClickException(
-            f"{folder} is not the data that {run} was trained on; name that with --data, other views with --views"
-        )
+    judged = None if measured is None else fit.load_run(measured)
+    for path, origin in ((run, trained_on), *([] if judged is None else [(measured, judged[2])])):
+        if pushes.digest != origin["sha256"]:
+            raise click.ClickException(
+                f"{folder} is not the data that {path} was trained on; name that with --data, other views with --views"
+            )
     store = Registry(registry)
-    visual = recipe.context_kind is ContextKind.VISUAL
-    convention = images.convention_of(views or views_beside(folder)) if visual else None
-    manifest = export.publish(recipe, network, pushes, store, convention)
+    convention = None if pushes.views is None else images.convention_of(views or views_beside(folder))
+    manifest = export.publish(recipe, network, pushes, store, convention, None if judged is None else judged[:2])
     click.echo(f"published {manifest.name}@{manifest.version} in {registry}")
     if no_alias or alias in store.aliases(manifest.name):
         click.echo(f"next: cazsl models promote {manifest.name} {manifest.version} --alias {alias}")

@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from service.contract import FloatArray, ObjectContext
+from service.contract import INDICATOR_LENGTH, FloatArray, ObjectContext
 from service.errors import DataError
 from training.kinds import find_kinds
 from training.omnipush_files import (
@@ -85,7 +85,8 @@ class Pushes:
     @property
     def indicators(self) -> FloatArray:
         """The indicator context of each object, (objects, 36)."""
-        return np.stack([ObjectContext.from_descriptor(name).indicator() for name in self.descriptors])
+        found = [ObjectContext.from_descriptor(name).indicator() for name in self.descriptors]
+        return np.array(found, dtype=np.float32).reshape(-1, INDICATOR_LENGTH)
 
     @property
     def count(self) -> int:
@@ -142,6 +143,11 @@ def different_objects() -> Split:
     """The published division of the 250 ABS objects: 200 to train on, 50 held out."""
     facts = _facts()["different_objects"]
     return Split("different-objects", tuple(facts["train"]), tuple(facts["test"]))
+
+
+def all_objects() -> Split:
+    """All 250 ABS objects to train on, none held out: for a model to serve, once its recipe was measured."""
+    return Split("all-objects", omnipush_descriptors(), ())
 
 
 def different_surfaces() -> Split:

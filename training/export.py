@@ -7,6 +7,7 @@ and gathered per push. Before anything is published, onnxruntime must agree with
 import logging
 import math
 import warnings
+from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Final
 
@@ -30,6 +31,7 @@ from service.manifest import (
 )
 from service.predictor import OnnxPredictor
 from service.registry import Registry
+from training.angles import wrapped
 from training.data import Pushes, published_normalisation
 from training.evaluate import COVERAGE_LEVELS, Evaluation, evaluate
 from training.networks import PushNetwork
@@ -80,7 +82,7 @@ class ServedNetwork(nn.Module):
 def wrap_last(pose: Tensor) -> Tensor:
     """Poses (n, 3) with their angle in (-pi, pi]."""
     position, angle = torch.split(pose, [2, 1], dim=-1)
-    return torch.cat([position, angle - 2.0 * math.pi * torch.ceil((angle - math.pi) / (2.0 * math.pi))], dim=-1)
+    return torch.cat([position, wrapped(angle)], dim=-1)
 
 
 def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
@@ -158,24 +160,35 @@ def publish(
     pushes: Pushes,
     registry: Registry,
     image_convention: str | None = None,
+    measured: tuple[Recipe, PushNetwork | NeuralProcess] | None = None,
 ) -> Manifest:
     """Measure, export, check and publish a fitted network as the next version of the recipe's model.
 
-    ``image_convention`` says how the views were taken that a visual model was trained on.
+    ``image_convention`` says how the views were taken that a visual model was trained on. Of a recipe that holds no
+    object out, ``measured`` is the same recipe and its network on a set-up that does: the figures are theirs.
 
     Raises:
         PublishError: the graph disagrees with torch, or the disk refused; nothing became visible.
-        DataError: the data lack objects of the split, or the method is not one to serve.
+        DataError: the data lack objects of the split, the method is not one to serve, or nothing was held out.
     """
-    kind = recipe.context_kind
-    split = recipe.split()
-    if not isinstance(network, PushNetwork) or split.test_surface is not None:
+    kind, split = recipe.context_kind, recipe.split()
+    judged, judge = (recipe, network) if measured is None else measured
+    if replace(judged, set_up=recipe.set_up) != recipe:
+        raise DataError(f"the run of {judged.name} that was measured is of another recipe; only set_up may differ")
+    set_up = judged.split()
+    if not set_up.test:
+        raise DataError(
+            f"{recipe.name} was trained on every object, so no figure of its own would be honest; train the same "
+            "recipe with --set-up different-objects, and publish with --measured and the folder of that run"
+        )
+    if not isinstance(network, PushNetwork) or set_up.test_surface is not None:
         raise DataError(
             f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
             "surface it was trained on; publish another method, or a run of another set-up"
         )
-    train, held_out = pushes.select(split.train), pushes.select(split.test)
-    found = evaluate(network, Samples.of(held_out, kind))
+    train, held_out = pushes.select(split.train), pushes.select(set_up.test)
+    samples = Samples.of(held_out, kind)
+    found = evaluate(judge, samples)
     if not math.isfinite(found.nll):
         raise PublishError("the network's held-out figures are not finite; nothing was published")
     model = export_onnx(network, kind)
@@ -203,17 +216,25 @@ def publish(
             held_out_pushes=held_out.count,
         ),
         code_version=service.__version__,
-        metrics={split.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
-        calibration={split.name: _calibration(found)},
-        self_check=_self_check(model, kind),
+        metrics={set_up.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
+        calibration={set_up.name: _calibration(found)},
+        self_check=_self_check(model, kind, samples),
         files={},
     )
     return registry.publish(draft, model, render_card(draft, found, train, parity))
 
 
+_BORROWED: Final = (
+    "This version was trained on every object, so figures of its own would be no held-out ones. These are of the same "
+    "recipe trained on `{set_up}` and measured there; this version has seen more objects than that.\n\n"
+)
+
+
 def render_card(draft: Manifest, found: Evaluation, train: Pushes, parity: float) -> str:
     """The model card: what it is, on what it was trained, how good it is, what not to expect of it."""
     data, recipe = draft.data, draft.recipe
+    (set_up,) = draft.metrics
+    whose = "" if set_up == data.split else _BORROWED.format(set_up=set_up)
     sharpness = dict(zip(POSE_NAMES, found.sharpness, strict=True))
     x_m, y_m, angle_rad = train.pushers[train.valid > 0].T
     nearest, furthest = 1000 * np.quantile(np.hypot(x_m, y_m), (0.0, 1.0))  # mm
@@ -237,7 +258,7 @@ Parameters of the last epoch of this recipe:
 
 ## Held-out objects
 
-{data.held_out_objects} objects that the training never saw, {data.held_out_pushes} pushes:
+{whose}{data.held_out_objects} objects that the training never saw, {data.held_out_pushes} pushes:
 
 | RMSE | STD | Dist. (mm) | NLL | 50 % coverage | 90 % coverage | 95 % coverage |
 |---|---|---|---|---|---|---|
@@ -263,9 +284,11 @@ def _calibration(found: Evaluation) -> Calibration:
     return Calibration("none", coverage_50, coverage_90, coverage_95, list(found.sharpness))
 
 
-def _self_check(model: bytes, kind: ContextKind) -> SelfCheck:
-    """A small batch with the answers of the graph itself, for every later load."""
+def _self_check(model: bytes, kind: ContextKind, samples: Samples) -> SelfCheck:
+    """A small batch with the answers of the graph itself, for every later load; its views are turned by the gates."""
     batch = probe_batch(kind, pushes=4, objects=2, seed=4)
+    if kind is ContextKind.VISUAL:  # of objects that exist: what symmetry a network learnt holds for those
+        batch = replace(batch, context=samples.context[:2].numpy())
     mean, std = OnnxPredictor(model, kind).predict(batch.pusher, batch.context, batch.context_index)
     return SelfCheck(
         pusher=batch.pusher.tolist(),

@@ -25,12 +25,12 @@ from tqdm import tqdm
 import service
 from service.errors import DataError
 from training import neural_process
+from training.augmentation import augmented
 from training.evaluate import evaluate
 from training.losses import context_regulariser, gaussian_nll
-from training.methods import Method
 from training.networks import PUSH_SHAPES, PushNetwork, Shape
 from training.neural_process import NeuralProcess
-from training.recipes import Recipe, parse_recipe_record
+from training.recipes import CIRCULAR, Recipe, parse_recipe_record
 from training.samples import Samples, TrainingData
 
 CONFIG_FILE: Final = "config.json"
@@ -57,7 +57,7 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
     dtype = product_dtype(recipe.precision, device)
 
     torch.manual_seed(recipe.seed)
-    network = build_network(recipe.network(), train.shape).to(device)
+    network = build_network(recipe, train.shape).to(device)
     adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
     _open_run(folder, recipe, data)
     first_epoch, seconds = _resume(folder, network, adam)
@@ -81,7 +81,7 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
             likelihood, penalty = train_epoch(network, adam, train, recipe, epoch, dtype)
             last = epoch == recipe.epochs - 1
             line = {"epoch": epoch, "nll": likelihood, "regulariser": penalty}
-            if last or epoch % HELD_OUT_EVERY_EPOCHS == 0:
+            if len(held_out.inputs) > 0 and (last or epoch % HELD_OUT_EVERY_EPOCHS == 0):
                 rmse = evaluate(network, held_out).rmse
                 line["held_out_rmse"] = rmse
             metrics.write(json.dumps(line) + "\n")
@@ -115,8 +115,9 @@ def train_epoch(
     network.train()
     sums = torch.zeros(2, device=train.context.device)
     for step, batch in enumerate(batches, start=1 + epoch * len(batches)):
-        adam.param_groups[0]["lr"] = learning_rate(recipe, step)
-        likelihood, penalty = _loss_terms(network, train.select(batch), recipe, dtype)
+        adam.param_groups[0]["lr"] = learning_rate(recipe, step) * cooling(recipe, epoch)
+        met = augmented(train.select(batch), recipe.symmetries, recipe.no_contact, rng)
+        likelihood, penalty = _loss_terms(network, met, recipe, dtype)
         adam.zero_grad()
         torch.autograd.backward(likelihood + penalty)
         adam.step()
@@ -133,9 +134,20 @@ def learning_rate(recipe: Recipe, step: int) -> float:
     return recipe.learning_rate * math.sqrt(warm_up) * min(step / math.pow(warm_up, 1.5), 1.0 / math.sqrt(step))
 
 
-def build_network(method: Method, shape: Shape) -> Network:
-    """A fresh network of a method, from torch's generator."""
-    return NeuralProcess(shape.inputs, shape.outputs) if method.neural_process else PushNetwork(method, shape)
+def cooling(recipe: Recipe, epoch: int) -> float:
+    """The factor of the learning rate in an epoch: 1, and over the last epochs half a cosine down to 0."""
+    left, cooling_epochs = recipe.epochs - epoch, recipe.cooling_epochs
+    if cooling_epochs == 0 or left > cooling_epochs:
+        return 1.0
+    return 0.5 - 0.5 * math.cos(math.pi * left / (cooling_epochs + 1))
+
+
+def build_network(recipe: Recipe, shape: Shape) -> Network:
+    """A fresh network of a recipe, from torch's generator."""
+    method = recipe.network()
+    if method.neural_process:
+        return NeuralProcess(shape.inputs, shape.outputs)
+    return PushNetwork(method, shape, recipe.angle == CIRCULAR, recipe.least_std)
 
 
 def product_dtype(precision: str, device: torch.device) -> torch.dtype:
@@ -175,7 +187,7 @@ def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:
             f"{folder} is not a finished run; finish it with: cazsl-train fit RECIPE --run {folder}"
         ) from error
     recipe = parse_recipe_record(config["recipe"], str(folder / CONFIG_FILE))
-    network = build_network(recipe.network(), PUSH_SHAPES[recipe.context_kind])
+    network = build_network(recipe, PUSH_SHAPES[recipe.context_kind])
     network.load_state_dict(weights)
     return recipe, network.eval(), config["data"]
 

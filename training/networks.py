@@ -4,6 +4,7 @@ Everything is normalised here (see ``data.Normalisation``); shapes are (objects,
 to the object: it is encoded once per object and broadcast over its pushes, never once per push.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
@@ -13,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
+from training.angles import circular
 from training.encoders import context_distance, context_encoder
 from training.methods import ContextUse, Method
 
@@ -62,13 +64,16 @@ class PushNetwork(nn.Module):
     regulariser, learnt along where it has parameters; predictions do not depend on it.
     """
 
-    def __init__(self, method: Method, shape: Shape) -> None:
+    def __init__(self, method: Method, shape: Shape, circular_angle: bool = False, least_std: float = 0.0) -> None:
+        """``circular_angle`` and ``least_std`` (normalised units) go beyond the paper, see ``recipes.Recipe``."""
         super().__init__()
         self.use = method.context_use
-        self.inputs = shape.inputs
+        self.circular_angle = circular_angle
+        self.least_std = least_std
+        self.inputs = shape.inputs + circular_angle
         # [x, c] through one layer, as the paper concatenates; only its share of x meets every push
         joined = self.use is ContextUse.CONCATENATED and len(shape.context) == 1
-        self.first = nn.Linear(shape.inputs + (shape.context[0] if joined else 0), WIDTH)
+        self.first = nn.Linear(self.inputs + (shape.context[0] if joined else 0), WIDTH)
         self.second = nn.Linear(WIDTH, WIDTH)
         self.third = nn.Linear(WIDTH, WIDTH)
         self.last = nn.Linear(WIDTH, 2 * shape.outputs)
@@ -87,6 +92,7 @@ class PushNetwork(nn.Module):
 
     def gaussian(self, pusher: Tensor, conditioning: Tensor | None) -> tuple[Tensor, Tensor]:
         """Mean and log std (n, 3) of pusher poses (n, 3), each under its own row of conditioning (n, 256)."""
+        pusher = circular(pusher) if self.circular_angle else pusher
         hidden = functional.linear(pusher, self.first.weight[:, : self.inputs], self.first.bias)
         if conditioning is not None and self.use is ContextUse.CONCATENATED:
             hidden = hidden + conditioning
@@ -101,13 +107,14 @@ class PushNetwork(nn.Module):
         ``dtype`` is that of the two wide layers, where nearly all the work is; everything else stays float32.
         """
         conditioning = self.conditioning(context)
+        pusher = circular(pusher) if self.circular_angle else pusher
         weight, bias = self.first.weight[:, : self.inputs].T, self.first.bias
         if conditioning is None:
             hidden = functional.linear(pusher, weight.T, bias)
         elif self.use is ContextUse.MASKED:
             # ReLU(W x + b) * m = ReLU((m W) x + m b), since a mask is never negative: multiplied into the weights it
             # costs a pass per object, multiplied onto the activations a pass per push
-            masked = weight * conditioning[:, None, :]  # (objects, 3, 256)
+            masked = weight * conditioning[:, None, :]  # (objects, inputs, 256)
             hidden = torch.baddbmm((bias * conditioning)[:, None, :], pusher, masked)
         else:
             shared = weight.expand(len(pusher), -1, -1)
@@ -121,7 +128,11 @@ class PushNetwork(nn.Module):
             else:
                 hidden = rounded_dense(hidden, layer.weight, layer.bias)
         mean, log_std = self.last(hidden.to(self.last.weight.dtype)).chunk(2, dim=-1)
-        return mean, log_std if self.training else bounded(log_std)
+        log_std = log_std if self.training else bounded(log_std)
+        if self.least_std > 0.0:  # log(exp(s) + least), written so that it never overflows
+            least = math.log(self.least_std)
+            log_std = least + functional.softplus(log_std - least)
+        return mean, log_std
 
 
 class RoundedDense(torch.autograd.Function):

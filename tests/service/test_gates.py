@@ -113,5 +113,5 @@ def with_figures(nll: float = 1.0, coverage_90: float = 0.9, sha256: str = "0" *
     ids=["the same", "better", "worse NLL", "within chance", "too sure", "too unsure", "other data"],
 )
 def test_a_candidate_is_not_worse_than_the_champion(candidate: LoadedModel, expected: list[str]) -> None:
-    """On the same data and split; what was measured elsewhere cannot be compared and is refused."""
+    """On the same data and set-up; what was measured elsewhere cannot be compared and is refused."""
     assert refused(judge(candidate, with_figures())) == expected

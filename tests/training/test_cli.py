@@ -2,7 +2,7 @@
 
 import re
 import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -134,15 +134,15 @@ def test_fit_without_data_names_the_folder(tmp_path: Path) -> None:
 
 def test_fit_of_an_unknown_recipe_lists_those_that_exist(data_folder: Path, tmp_path: Path) -> None:
     """One line has the names that would have worked."""
-    line = sole_line(cazsl_train("fit", "push-visual", "--data", data_folder, "--run", tmp_path / "run"))
+    line = sole_line(cazsl_train("fit", "push-smell", "--data", data_folder, "--run", tmp_path / "run"))
 
-    assert "push-indicator, push-none" in line
+    assert "paper, push-indicator, push-none, push-visual" in line
 
 
 def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: Path) -> None:
     """A recipe by path leaves a finished run and says what comes next."""
     path, run = tmp_path / "mine.toml", tmp_path / "run"
-    fields = asdict(replace(recipe, epochs=1))
+    fields = replace(recipe, epochs=1).record()
     path.write_text("".join(f"{key} = {value!r}\n" for key, value in fields.items()), encoding="utf-8")
 
     result = cazsl_train("fit", path, "--data", data_folder, "--run", run)
@@ -216,6 +216,26 @@ def test_publish_without_an_alias_leaves_even_a_first_version_unnamed(
     assert result.exit_code == 0
     assert registry.versions("push-none") == [1]
     assert registry.aliases("push-none") == {}
+
+
+def test_a_model_of_all_objects_is_published_with_the_figures_of_a_run_that_held_some_out(
+    recipe: Recipe, data_folder: Path, indicator_run: Path, tmp_path: Path
+) -> None:
+    """The same recipe on both set-ups; alone, a run on all objects is neither evaluated nor published."""
+    path, registry = tmp_path / "push-indicator.toml", Registry(tmp_path / "models")
+    path.write_text("".join(f"{key} = {value!r}\n" for key, value in recipe.record().items()), encoding="utf-8")
+    run, options = tmp_path / "run", ("--data", data_folder)
+    publishing = ("publish", run, *options, "--registry", registry.root)
+
+    fitted = cazsl_train("fit", path, *options, "--run", run, "--set-up", "all-objects")
+    assert f"publish {run} --measured RUN" in fitted.stdout
+    assert "different-objects" in sole_line(cazsl_train("evaluate", run, *options))
+    assert "--set-up different-objects" in sole_line(cazsl_train(*publishing))
+    assert not registry.root.exists()
+    result = cazsl_train(*publishing, "--measured", indicator_run)
+
+    assert result.exit_code == 0, result.output
+    assert registry.read("push-indicator", 1).manifest.recipe["set_up"] == "all-objects"
 
 
 def test_publish_with_other_data_is_refused(data_folder: Path, none_run: Path, tmp_path: Path) -> None:
@@ -322,7 +342,7 @@ def test_a_visual_model_is_fitted_evaluated_and_published_with_its_views(
     """Views are named with --views, the next command repeats them, and the manifest has their convention."""
     views, path, run = tmp_path / "views", tmp_path / "push-visual.toml", tmp_path / "run"
     write_views(views, omnipush_descriptors(), quiet=True)
-    fields = asdict(replace(recipe, name="push-visual", context="visual", epochs=1))
+    fields = replace(recipe, name="push-visual", context="visual", epochs=1).record()
     path.write_text("".join(f"{key} = {value!r}\n" for key, value in fields.items()), encoding="utf-8")
     options = ("--data", data_folder, "--views", views)
 

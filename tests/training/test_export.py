@@ -4,6 +4,7 @@ import math
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnx
@@ -450,6 +451,86 @@ def test_every_served_method_becomes_a_graph_that_agrees_with_it(name: str, kind
 
     assert check_parity(network, graph, kind) <= PARITY_TOLERANCE
     assert b"distance" not in graph, "what only the training needs is not served"
+
+
+def test_a_visual_version_carries_views_of_objects_that_it_has_not_seen(
+    registry: Registry, viewed_pushes: Pushes, recipe: Recipe
+) -> None:
+    """Its self-check and the gate that turns them are about objects, not about noise."""
+    check = registry.read("push-visual", 1).manifest.self_check
+    views = viewed_pushes.select(recipe.split().test[:2]).views
+    assert views is not None
+
+    assert np.array(check.context, dtype=np.float32) == pytest.approx(views.reshape(2, -1) / np.float32(255.0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_network_beyond_the_paper_becomes_a_graph_that_agrees_with_it(kind: ContextKind) -> None:
+    """Circular angle and least std are inside the graph, which still takes poses of three numbers; pi has no seam."""
+    torch.manual_seed(13)
+    method = METHODS["FCN" if kind is ContextKind.NONE else "FCN + CM"]
+    network = PushNetwork(method, PUSH_SHAPES[kind], circular_angle=True, least_std=0.02)
+    batch = probe_batch(kind, 2, 32)
+    network.conditioning(torch.from_numpy(batch.context))
+    graph = export_onnx(network.eval(), kind)
+    seam = np.array([(0.08, 0.01, math.pi - 1e-5), (0.08, 0.01, 1e-5 - math.pi)], dtype=np.float32)
+    found = predicted(graph, kind, seam, batch.context[:1], [0, 0])
+
+    assert check_parity(network, graph, kind) <= PARITY_TOLERANCE
+    assert found[:, 0] == pytest.approx(found[:, 1], abs=1e-5)
+    assert (found[1] > 0.02 * published_normalisation().output_std * 0.999).all()
+
+
+def test_a_model_of_all_objects_carries_the_figures_of_one_that_held_some_out(
+    recipe: Recipe, pushes: Pushes, networks: dict[ContextKind, PushNetwork], tmp_path: Path
+) -> None:
+    """Manifest and card name both set-ups: what it was trained on, and where the figures come from."""
+    everything, judge = replace(recipe, set_up="all-objects"), networks[ContextKind.INDICATOR]
+    network = fit(
+        everything, TrainingData.of(everything.split(), ContextKind.INDICATOR, pushes), tmp_path / "run", True
+    )
+    assert isinstance(network, PushNetwork)
+    store = Registry(tmp_path / "models")
+    found = publish(everything, network, pushes, store, measured=(recipe, judge))
+    figures = evaluate(judge, Samples.of(pushes.select(recipe.split().test), ContextKind.INDICATOR))
+    card = store.read(found.name, 1).card
+
+    assert (found.data.split, found.data.train_objects, found.data.held_out_objects) == ("all-objects", 250, 50)
+    assert {name: metrics.rmse for name, metrics in found.metrics.items()} == {"different-objects": figures.rmse}
+    assert list(found.calibration) == ["different-objects"]
+    assert "split `all-objects`" in card
+    assert "recipe trained on `different-objects` and measured there" in card
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        pytest.param({"set_up": "all-objects"}, "no figure of its own would be honest", id="all objects again"),
+        pytest.param({"epochs": 2}, "of another recipe; only set_up may differ", id="another recipe"),
+        pytest.param({"set_up": "different-surfaces"}, "is not published", id="another surface"),
+    ],
+)
+def test_figures_are_not_borrowed_from_just_any_run(
+    recipe: Recipe,
+    pushes: Pushes,
+    networks: dict[ContextKind, PushNetwork],
+    tmp_path: Path,
+    change: dict[str, Any],
+    message: str,
+) -> None:
+    """Only the same recipe on objects held out of the same surface speaks for a model; nothing is published."""
+    network = networks[ContextKind.INDICATOR]
+
+    with pytest.raises(DataError, match=message):
+        publish(
+            replace(recipe, set_up="all-objects"),
+            network,
+            pushes,
+            Registry(tmp_path / "models"),
+            measured=(replace(recipe, **change), network),
+        )
+
+    assert not (tmp_path / "models").exists()
 
 
 def test_a_neural_process_is_not_published(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from training.fit import (
     METRICS_FILE,
     WEIGHTS_FILE,
     Network,
+    cooling,
     fit,
     learning_rate,
     load_run,
@@ -105,6 +107,65 @@ def test_an_interrupted_run_ends_in_the_same_weights(
     assert weights_of(run) != weights_of(tmp_path / "scratch")
     assert metrics_of(run)[2:] == metrics_of(tmp_path / "whole")[2:]
     assert (run / CONFIG_FILE).read_bytes() == (tmp_path / "whole" / CONFIG_FILE).read_bytes()
+
+
+@pytest.mark.parametrize("context", ["none", "indicator", "visual"])
+def test_an_interrupted_run_beyond_the_paper_ends_in_the_same_weights(
+    recipe: Recipe, viewed_pushes: Pushes, tmp_path: Path, context: str
+) -> None:
+    """What is drawn for augmentation survives a kill as well."""
+    method = "FCN" if context == "none" else recipe.method
+    better = replace(recipe, method=method, context=context, epochs=4, angle="circular", symmetries=True)
+    better = replace(better, no_contact=0.2, least_std=0.02)
+    train_run(better, viewed_pushes, tmp_path / "whole")
+    run = interrupted(tmp_path / "interrupted", better, 2, viewed_pushes, tmp_path / "scratch")
+
+    train_run(better, viewed_pushes, run)
+
+    assert weights_of(run) == weights_of(tmp_path / "whole")
+    assert weights_of(run) != weights_of(tmp_path / "scratch")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"angle": "circular"},
+        {"symmetries": True},
+        {"no_contact": 0.2},
+        {"least_std": 0.02},
+        {"cooling_epochs": 2},
+    ],
+    ids=lambda change: next(iter(change)),
+)
+def test_each_field_beyond_the_paper_changes_the_training(
+    recipe: Recipe, pushes: Pushes, indicator_run: Path, tmp_path: Path, change: dict[str, Any]
+) -> None:
+    """None is read and forgotten."""
+    network = train_run(replace(recipe, **change), pushes, tmp_path)
+    plain = load_run(indicator_run)[1]
+    figures = [evaluate(each, samples_of(pushes, different_objects().test)).nll for each in (network, plain)]
+
+    assert np.isfinite(figures).all()
+    assert figures[0] != figures[1]
+
+
+def test_the_learning_rate_cools_to_nothing_over_the_last_epochs(recipe: Recipe) -> None:
+    """Whole before them, half in their middle, small and still positive in the last."""
+    cooled = replace(recipe, epochs=100, cooling_epochs=49)
+    factors = [cooling(cooled, epoch) for epoch in range(100)]
+
+    assert factors[:51] == [1.0] * 51
+    assert factors[75] == pytest.approx(0.5)
+    assert 0.0 < factors[-1] < 0.01
+    assert all(later < earlier for earlier, later in pairwise(factors[50:]))
+    assert cooling(recipe, recipe.epochs - 1) == 1.0
+
+
+def test_a_run_on_all_objects_records_no_held_out_error(recipe: Recipe, pushes: Pushes, tmp_path: Path) -> None:
+    """There is nothing to hold it to, and nothing is made up."""
+    train_run(replace(recipe, set_up="all-objects", epochs=1), pushes, tmp_path)
+
+    assert set(metrics_of(tmp_path)[-1]) == {"epoch", "nll", "regulariser"}
 
 
 def test_a_run_goes_on_from_its_checkpoint_and_drops_what_was_logged_after_it(

@@ -8,6 +8,7 @@ from torch import Tensor
 from service.contract import ContextKind
 from tests.training import by_hand
 from tests.training.by_hand import array_of
+from training.angles import circular
 from training.methods import METHODS
 from training.networks import LOG_STD_LIMIT, PUSH_SHAPES, PushNetwork, Shape, rounded_dense
 
@@ -237,6 +238,36 @@ def test_a_rounded_layer_has_the_slopes_of_the_exact_one() -> None:
         assert expected.grad is not None
         assert found.grad.dtype is torch.float32
         assert (found.grad - expected.grad).norm() < 0.05 * expected.grad.norm()  # mostly gates that flip
+
+
+@pytest.mark.parametrize("method", ["FCN", "FCN + CC", "FCN + CM"])
+def test_a_circular_angle_enters_as_its_cosine_and_sine(method: str) -> None:
+    """One more input to the first layer; the equations are the paper's on (x, y, cos, sin)."""
+    torch.manual_seed(4)
+    kind = ContextKind.NONE if method == "FCN" else INDICATOR
+    network = PushNetwork(METHODS[method], PUSH_SHAPES[kind], circular_angle=True).eval()
+    pushers, contexts = some_pushers(6, 5), some_contexts(kind, 6)
+    with torch.no_grad():
+        mean, log_std, conditioning = network(pushers, contexts)
+        alone = network.gaussian(pushers[0], None if conditioning is None else conditioning[:1].expand(5, -1))
+
+    expected = by_hand.network(network.state_dict(), method, array_of(circular(pushers)), array_of(contexts))
+    assert array_of(mean) == pytest.approx(expected[0], abs=1e-5)
+    assert array_of(log_std) == pytest.approx(expected[1], abs=1e-5)
+    assert torch.allclose(alone[0], mean[0], atol=1e-5)
+
+
+@pytest.mark.parametrize("fitted", [True, False], ids=["fitted", "in training"])
+def test_a_least_std_is_added_to_every_std(fitted: bool) -> None:
+    """Whatever the layers say, std is theirs plus the least."""
+    plain = network_of("FCN + CM", INDICATOR).train(not fitted)
+    floored = PushNetwork(METHODS["FCN + CM"], PUSH_SHAPES[INDICATOR], least_std=0.05).train(not fitted)
+    floored.load_state_dict(plain.state_dict())
+    pushers, contexts = some_pushers(6, 5), some_contexts(INDICATOR, 6)
+    with torch.no_grad():
+        without, found = plain(pushers, contexts).log_std, floored(pushers, contexts).log_std
+
+    assert torch.allclose(found.exp(), without.exp() + 0.05, rtol=1e-4)
 
 
 def test_other_shapes_are_networks_too() -> None:

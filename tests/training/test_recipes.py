@@ -5,44 +5,49 @@ from pathlib import Path
 
 import pytest
 
-from service.contract import ContextKind
 from service.errors import DataError
 from service.manifest import is_name
 from training.data import different_objects
+from training.experiments import Cell, experiments
 from training.methods import METHODS
 from training.recipes import Recipe, parse_recipe, parse_recipe_record, read_recipe, recipe_names
+
+SERVED = ["push-indicator", "push-none", "push-visual"]
 
 
 def toml_of(values: dict[str, object]) -> str:
     """A recipe file of these fields."""
-    return "".join(f"{key} = {value!r}\n" for key, value in values.items())
+    texts = {key: str(value).lower() if isinstance(value, bool) else repr(value) for key, value in values.items()}
+    return "".join(f"{key} = {text}\n" for key, text in texts.items())
 
 
-def test_two_recipes_ship() -> None:
-    """The paper's network and the baseline without context."""
-    assert recipe_names() == ["push-indicator", "push-none"]
+def test_four_recipes_ship() -> None:
+    """The paper's, and one for each kind of context."""
+    assert recipe_names() == ["paper", *SERVED]
 
 
-@pytest.mark.parametrize("name", ["push-indicator", "push-none"])
-def test_shipped_recipes_parse(name: str) -> None:
-    """Each is named as its model, and is the paper's training: 3000 epochs of Adam at 0.002, 64 objects a batch."""
+@pytest.mark.parametrize("name", SERVED)
+def test_a_served_recipe_is_the_paper_s_method_on_all_that_physics_promises(name: str) -> None:
+    """Named as its model, measured on objects held out, with symmetric scenes, misses and an angle without a seam."""
     found = read_recipe(name)
 
     assert found.name == name
     assert is_name(found.name)
-    assert found.network() is METHODS[found.method]
+    assert found.context_kind == name.removeprefix("push-")
+    assert found.network() is METHODS["FCN" if name == "push-none" else "FCN + CM"]
     assert found.split() == different_objects()
+    assert (found.angle, found.symmetries) == ("circular", True)
+    assert 0.0 < found.no_contact < 0.5
+
+
+def test_the_paper_s_recipe_is_a_row_of_its_tables() -> None:
+    """3000 epochs of Adam at 0.002, 64 objects a batch, lambda_1 0.01, lambda_2 10: as ``reproduce`` trains it."""
+    found = read_recipe("paper")
+    row = experiments()["different-objects"].recipe(Cell("different-objects", found.method, "indicator"), seed=0)
+
+    assert replace(row, name=found.name) == found
     assert (found.epochs, found.batch_objects, found.learning_rate) == (3000, 64, 0.002)
-
-
-def test_the_shipped_recipes_are_the_paper_s_methods() -> None:
-    """The indicator model is masked and regularised with lambda_1 0.01 and lambda_2 10; the other knows no object."""
-    indicator, none = read_recipe("push-indicator"), read_recipe("push-none")
-
-    assert (indicator.method, indicator.lambda_1, indicator.lambda_2) == ("FCN + CM + L2Reg", 0.01, 10.0)
-    assert indicator.context_kind is ContextKind.INDICATOR
-    assert none.method == "FCN"
-    assert none.context_kind is ContextKind.NONE
+    assert (found.method, found.lambda_1, found.lambda_2) == ("FCN + CM + L2Reg", 0.01, 10.0)
 
 
 def test_a_record_reads_back_as_the_recipe(recipe: Recipe) -> None:
@@ -58,9 +63,35 @@ def test_a_recipe_file_is_read_by_path(recipe: Recipe, tmp_path: Path) -> None:
     assert read_recipe(str(path)) == replace(recipe, name="mine")
 
 
-@pytest.mark.parametrize("field", list(Recipe.__dataclass_fields__))
-def test_every_field_is_required_and_named_when_missing(recipe: Recipe, field: str) -> None:
-    """No field has a default: a recipe is whole."""
+BEYOND_PAPER = {
+    "angle": "circular",
+    "symmetries": True,
+    "no_contact": 0.1,
+    "least_std": 0.02,
+    "cooling_epochs": 2,
+}
+
+
+@pytest.mark.parametrize(("field", "value"), BEYOND_PAPER.items())
+def test_what_goes_beyond_the_paper_is_optional_and_recorded_where_it_is_used(
+    recipe: Recipe, field: str, value: object
+) -> None:
+    """A recipe without the field is the paper's, and its record is what it was before there was such a field."""
+    assert field not in recipe.record()
+    better = parse_recipe_record({**recipe.record(), field: value}, "here")
+
+    assert better == replace(recipe, **{field: value})  # type: ignore[arg-type]  # one field of each type
+    assert better.record() == {**recipe.record(), field: value}
+
+
+def test_every_optional_field_is_tested() -> None:
+    """The fields above are all that have a default."""
+    assert set(asdict(read_recipe("paper"))) - set(read_recipe("paper").record()) == set(BEYOND_PAPER)
+
+
+@pytest.mark.parametrize("field", [name for name in Recipe.__dataclass_fields__ if name not in BEYOND_PAPER])
+def test_every_field_of_the_paper_is_required_and_named_when_missing(recipe: Recipe, field: str) -> None:
+    """None of them has a default: a recipe is whole."""
     values = asdict(recipe)
     del values[field]
 
@@ -83,6 +114,7 @@ def test_an_unknown_field_is_named(recipe: Recipe) -> None:
         pytest.param("lambda_2", "10", "float", id="lambda as text"),
         pytest.param("name", 5, "str", id="a number for a name"),
         pytest.param("seed", True, "int", id="a truth for a seed"),
+        pytest.param("symmetries", 1, "bool", id="a number for a truth"),
     ],
 )
 def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, expected: str) -> None:
@@ -108,6 +140,10 @@ def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, ex
         pytest.param("learning_rate", float("nan"), id="a learning rate that is no number"),
         pytest.param("learning_rate", float("inf"), id="an infinite learning rate"),
         pytest.param("lambda_1", float("nan"), id="a lambda that is no number"),
+        pytest.param("angle", "square", id="an unknown angle"),
+        pytest.param("no_contact", 1.0, id="nothing but misses"),
+        pytest.param("least_std", float("inf"), id="an infinite std"),
+        pytest.param("cooling_epochs", 4, id="more cooling than epochs"),
         pytest.param("seed", -1, id="a negative seed, which no generator takes"),
         pytest.param("name", "Push Indicator", id="a name that no registry takes"),
     ],
@@ -128,6 +164,13 @@ def test_a_method_without_use_for_a_context_has_none(recipe: Recipe, method: str
         parse_recipe_record({**asdict(recipe), "method": method}, "here")
 
 
+def test_a_recipe_for_serving_trains_on_all_objects(recipe: Recipe) -> None:
+    """All 250, and none is left to hold out."""
+    split = parse_recipe_record({**asdict(recipe), "set_up": "all-objects"}, "here").split()
+
+    assert (split.name, len(split.train), split.test) == ("all-objects", 250, ())
+
+
 @pytest.mark.parametrize("set_up", ["different-surfaces", *(f"different-weights-{count}" for count in (0, 1, 2))])
 def test_every_set_up_of_the_paper_can_be_named(recipe: Recipe, set_up: str) -> None:
     """Its split carries its name."""
@@ -142,10 +185,10 @@ def test_a_file_that_is_not_toml_is_refused() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["push-visual", "nowhere.toml", "../recipes/push-none", ""],
+    ["push-smell", "nowhere.toml", "../recipes/push-none", ""],
     ids=["unknown", "no such file", "not a name", "empty"],
 )
 def test_an_unknown_recipe_lists_those_that_exist(name: str) -> None:
     """The message has every name that would have worked."""
-    with pytest.raises(DataError, match=r"push-indicator, push-none or a \.toml file"):
+    with pytest.raises(DataError, match=r"paper, push-indicator, push-none, push-visual or a \.toml file"):
         read_recipe(name)

@@ -3,7 +3,7 @@
 import math
 import tomllib
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from functools import partial
 from importlib import resources
 from pathlib import Path
@@ -12,14 +12,17 @@ from typing import Any, Final
 from service.contract import ContextKind
 from service.errors import DataError
 from service.manifest import is_name
-from training.data import Split, different_objects, different_surfaces, different_weights
+from training.data import Split, all_objects, different_objects, different_surfaces, different_weights
 from training.methods import METHODS, Method
 
 SET_UPS: Final[dict[str, Callable[[], Split]]] = {
+    "all-objects": all_objects,
     "different-objects": different_objects,
     "different-surfaces": different_surfaces,
     **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
 }
+CIRCULAR: Final = "circular"
+ANGLES: Final = ("raw", CIRCULAR)
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 
@@ -41,6 +44,12 @@ class Recipe:
         str  # of the wide matrix products: float32, bfloat16, or auto: bfloat16 where the processor multiplies it
     )
     seed: int
+    # Beyond the paper. Every default is the paper's training, and a record leaves out what is at its default.
+    angle: str = "raw"  # of the push, as the first layer takes it: raw radians, or circular: cosine and sine
+    symmetries: bool = False  # turn and mirror each object of a batch at random
+    no_contact: float = 0.0  # share of pushes that are replaced by pushes that miss
+    least_std: float = 0.0  # added to every predicted std, normalised: what even a perfect model could not know
+    cooling_epochs: int = 0  # at the end, in which the learning rate falls to 0 along half a cosine
 
     def network(self) -> Method:
         """The method that the recipe names."""
@@ -56,8 +65,9 @@ class Recipe:
         return SET_UPS[self.set_up]()
 
     def record(self) -> dict[str, str | int | float | bool]:
-        """The recipe as a flat document."""
-        return asdict(self)
+        """The recipe as a flat document, without what is at its default."""
+        found = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
+        return {name: value for name, (value, default) in found.items() if value != default}
 
 
 def read_recipe(name_or_path: str) -> Recipe:
@@ -97,12 +107,14 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
         DataError: names the field at fault.
     """
     wanted = {field.name: field.type for field in fields(Recipe)}
-    if set(values) != set(wanted):
-        odd = ", ".join(sorted(set(values) ^ set(wanted)))
+    required = {field.name for field in fields(Recipe) if field.default is MISSING}
+    if not required <= set(values) <= set(wanted):
+        odd = ", ".join(sorted((required - set(values)) | (set(values) - set(wanted))))
         raise DataError(f"{where}: missing or unknown: {odd}; a recipe has {', '.join(wanted)}")
-    for key, kind in wanted.items():
-        if type(values[key]) is not kind:
-            raise DataError(f"{where}: {key} is {values[key]!r}; expected {getattr(kind, '__name__', kind)}")
+    for key, value in values.items():
+        kind = wanted[key]
+        if type(value) is not kind:
+            raise DataError(f"{where}: {key} is {value!r}; expected {getattr(kind, '__name__', kind)}")
     if values["method"] not in METHODS:
         raise DataError(f"{where}: method is {values['method']!r}; expected one of {', '.join(METHODS)}")
     if values["set_up"] not in SET_UPS:
@@ -119,9 +131,22 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
     for key in ("lambda_1", "lambda_2", "warm_up_steps", "seed"):
         if not 0 <= values[key] < math.inf:
             raise DataError(f"{where}: {key} is {values[key]}; expected 0 or more")
+    _check_beyond_paper(Recipe(**values), where)
     if not is_name(values["name"]):
         raise DataError(f"{where}: name is {values['name']!r}; expected lower-case letters, digits, '-' and '_'")
     return Recipe(**values)
+
+
+def _check_beyond_paper(recipe: Recipe, where: str) -> None:
+    """Hold the fields that have defaults."""
+    if recipe.angle not in ANGLES:
+        raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(ANGLES)}")
+    if not 0.0 <= recipe.no_contact < 1.0:
+        raise DataError(f"{where}: no_contact is {recipe.no_contact}; expected 0 or more, and less than 1")
+    if not 0.0 <= recipe.least_std < math.inf:
+        raise DataError(f"{where}: least_std is {recipe.least_std}; expected 0 or more")
+    if not 0 <= recipe.cooling_epochs <= recipe.epochs:
+        raise DataError(f"{where}: cooling_epochs is {recipe.cooling_epochs}; expected 0 to all {recipe.epochs} epochs")
 
 
 def recipe_names() -> list[str]:
