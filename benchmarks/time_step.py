@@ -10,8 +10,8 @@ import numpy as np
 from mujoco import rollout
 
 from service.contract import ObjectContext
-from training.data import omnipush_descriptors
 from training.objects import solid
+from training.published import omnipush_descriptors
 from training.scene import TIME_STEP_S
 from training.simulate import push_object, sample_pushers
 from training.surfaces import even_conditions

@@ -28,12 +28,13 @@ from torch import Tensor, nn
 from torch.utils.data import DataLoader, TensorDataset
 
 from service.contract import ContextKind
-from training.data import different_objects, read_folder
+from training.data import read_folder
 from training.evaluate import evaluate, measure
 from training.fit import Network, build_network, keep_freed_memory, product_dtype, train_epoch
 from training.losses import gaussian_nll
 from training.methods import METHODS
 from training.networks import PUSH_SHAPES
+from training.published import different_objects
 from training.recipes import Recipe
 from training.samples import Samples, TrainingData
 

@@ -108,6 +108,7 @@ class RequestTelemetry:
         status = 0
 
         async def send_with_id(message: Message) -> None:
+            """Add the request's id to what is sent."""
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]

@@ -78,6 +78,7 @@ async def _parse(headers: Headers, content: bytes) -> list[tuple[str, str | byte
     """The parts of a form, in order."""
 
     async def stream() -> AsyncGenerator[bytes, None]:
+        """The body in one part."""
         yield content
 
     parser = _InMemory(headers, stream(), max_files=1, max_fields=len(_FIELDS), max_part_size=len(content))

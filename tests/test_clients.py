@@ -124,6 +124,7 @@ def test_the_asyncio_client_speaks_too(url: str) -> None:
     """The same, many at once."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         async with concurrent.InferenceServerClient(url) as client:
             assert await client.is_server_live()
             assert await client.is_server_ready()

@@ -88,9 +88,11 @@ async def ask(app: Service, method: str, path: str, headers: list[tuple[bytes, b
     sent: list[Message] = []
 
     async def receive() -> Message:
+        """What the client sends."""
         return {"type": "http.request", "body": body, "more_body": False}
 
     async def send(message: Message) -> None:
+        """What the client is sent."""
         sent.append(message)
 
     scope: dict[str, Any] = {
@@ -122,6 +124,7 @@ def test_no_mutation_of_an_attack_gets_a_5xx(caplog: pytest.LogCaptureFixture) -
     plain = b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"descriptor": "1a2b3c4a"}}'
 
     async def scenario() -> float:
+        """What happens, in the loop."""
         app, before = make_app(), 0.0
         for number in range(REQUESTS):
             method, path, headers, body = corpus.request()

@@ -5,7 +5,7 @@ import math
 import torch
 from torch import Tensor
 
-from training.data import published_normalisation
+from training.published import published_normalisation
 
 
 def wrapped(angle_rad: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from service.contract import BITS_PER_SIDE, PUSH_LENGTH_M, SIDES
 from training.angles import wrapped
-from training.data import published_normalisation
+from training.published import published_normalisation
 from training.samples import Samples
 
 # No object reaches further from its centre, the pusher's radius included: Omnipush's pushes start outside of it.

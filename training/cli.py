@@ -13,13 +13,14 @@ from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import NOWHERE, Registry
 from training import export, fit, images, recipes, reproduction, simulate
 from training.command_errors import mend
-from training.data import different_surfaces, omnipush_descriptors, published_normalisation, read_folder
+from training.data import read_folder
 from training.data_cli import data
 from training.evaluate import Evaluation
 from training.evaluate import evaluate as evaluate_network
 from training.experiments import EXPERIMENTS, GAUSSIAN_PROCESS, experiments
 from training.inspection_text import likeness_lines
 from training.likeness import likeness, missed
+from training.published import different_surfaces, omnipush_descriptors, published_normalisation
 from training.samples import read_pushes, read_training_data, views_beside
 from training.surfaces import ABS, SURFACES
 from training.views import VIEWS_FOLDER

@@ -14,9 +14,10 @@ from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path as DrawnPath
 
 from service.contract import PUSH_LENGTH_M, ObjectContext
-from training.data import Pushes, published_normalisation
+from training.data import Pushes
 from training.likeness import likeness, missed
 from training.objects import WEIGHT_RADIUS_M, solid
+from training.published import published_normalisation
 from training.scene import PUSHER_RADIUS_M
 
 Array = npt.NDArray[np.floating[Any]]

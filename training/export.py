@@ -32,11 +32,12 @@ from service.manifest import (
 from service.predictor import OnnxPredictor
 from service.registry import Registry
 from training.angles import wrapped
-from training.data import Pushes, published_normalisation
+from training.data import Pushes
 from training.evaluate import COVERAGE_LEVELS, Evaluation, evaluate
 from training.networks import PushNetwork
 from training.neural_process import NeuralProcess
 from training.probes import Batch, extreme_batch, feed, probe_batch
+from training.published import published_normalisation
 from training.recipes import Recipe
 from training.samples import Samples
 

@@ -14,10 +14,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from training.data import published_normalisation
 from training.kinds import by_kind, named, quarter_turns
 from training.likeness import Likeness, missed
 from training.omnipush_files import Array
+from training.published import published_normalisation
 
 PUBLISHED_ROWS: Final = 250
 ROWS_TOLERANCE: Final = 25

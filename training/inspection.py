@@ -13,12 +13,13 @@ import numpy as np
 from tqdm import tqdm
 
 from service.errors import DataError
-from training.data import UNKNOWN_SOURCE, published_normalisation, read_source
+from training.data import UNKNOWN_SOURCE, read_source
 from training.findings import Finding, ObjectPushes, Severity, odd_normalised, surface_findings
 from training.kinds import named
 from training.likeness import Likeness, likeness, missed
 from training.membership import Membership, membership
 from training.omnipush_files import Array, FilePair, FolderListing, Variant, list_folder, read_pair
+from training.published import published_normalisation
 from training.release import SurfaceKind, surface_folders, surface_kind, view_places
 from training.views import find_views, missing_views, odd_views
 

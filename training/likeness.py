@@ -6,8 +6,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from training.data import Normalisation
 from training.omnipush_files import Array
+from training.published import Normalisation
 
 QUANTITIES: Final = (
     "pusher x_m",

@@ -3,9 +3,9 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from training.data import different_objects, different_surfaces
 from training.findings import Finding, Severity
 from training.kinds import by_kind, canonical_descriptor, named
+from training.published import different_objects, different_surfaces
 from training.release import SurfaceKind
 
 

@@ -1,7 +1,7 @@
 """The paper's fully-connected networks, written from its section III and the design's table.
 
-Everything is normalised here (see ``data.Normalisation``); shapes are (objects, pushes, ...), since the context belongs
-to the object: it is encoded once per object and broadcast over its pushes, never once per push.
+Everything is normalised here (see ``published.Normalisation``); shapes are (objects, pushes, ...), since the context
+belongs to the object: it is encoded once per object and broadcast over its pushes, never once per push.
 """
 
 import math

@@ -12,9 +12,10 @@ from torch import Tensor
 
 from service.contract import ContextKind, FloatArray
 from service.errors import DataError
-from training.data import Pushes, Split, published_normalisation, read_folder
+from training.data import Pushes, read_folder
 from training.images import read_views
 from training.networks import Shape
+from training.published import Split, published_normalisation
 
 AnyArray = npt.NDArray[np.floating[Any]]
 VIEWS_FOLDER: Final = "top-down_view"

@@ -46,12 +46,14 @@ async def ask(
     waiting = iter(messages)
 
     async def receive() -> Message:
+        """What the client sends."""
         for message in waiting:
             return message
         await asyncio.Event().wait()
         raise AssertionError
 
     async def send(message: Message) -> None:
+        """What the client is sent."""
         sent.append(message)
 
     scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": headers or [], "client": (client, 1)}
@@ -65,6 +67,7 @@ def run(scenario: Callable[[], Any]) -> None:
     """Run a scenario, for a minute at most."""
 
     async def bounded() -> None:
+        """As far as the limits let it."""
         async with asyncio.timeout(60):
             await scenario()
 
@@ -75,6 +78,7 @@ def test_a_body_in_pieces_arrives_whole() -> None:
     """However a client chops it."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         endpoint = Endpoint()
         pieces = [{**PART, "body": bytes([byte])} for byte in b"hello"]
         assert (await ask(Intake(endpoint, limits()), [*pieces, LAST]))[0] == 200
@@ -87,6 +91,7 @@ def test_a_body_over_the_limit_is_refused_declared_or_not() -> None:
     """At the limit it is read, beyond it nobody behind sees it."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         endpoint = Endpoint()
         intake = Intake(endpoint, limits())
         assert (await ask(intake, [PART] * 10 + [LAST]))[0] == 200
@@ -103,6 +108,7 @@ def test_a_body_that_does_not_come_is_not_waited_for() -> None:
     """408, and the connection is closed; others are served meanwhile."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         intake = Intake(Endpoint(), limits(body_s=0.05, in_flight=1))
         slow = asyncio.ensure_future(ask(intake, [PART]))
         await asyncio.sleep(0)
@@ -117,6 +123,7 @@ def test_a_client_that_goes_away_gets_nothing_and_leaves_nothing() -> None:
     """What was held of it is held no more."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         intake = Intake(Endpoint(), limits(held_bytes=150))
         for _ in range(5):
             assert (await ask(intake, [PART, GONE]))[0] == 0
@@ -129,6 +136,7 @@ def test_more_than_fits_is_refused_at_once_with_a_moment_to_wait() -> None:
     """The third of two; and when they are done there is room again."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         endpoint = Endpoint()
         intake = Intake(endpoint, limits())
         endpoint.release.clear()
@@ -146,6 +154,7 @@ def test_one_caller_has_its_share_and_others_have_theirs() -> None:
     """By key where there is one, else by address."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         endpoint = Endpoint()
         intake = Intake(endpoint, limits(in_flight=9, in_flight_per_caller=1))
         endpoint.release.clear()
@@ -170,6 +179,7 @@ def test_bytes_of_all_requests_together_are_bounded() -> None:
     """Many bodies within their own limits are still not all held."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         endpoint = Endpoint()
         intake = Intake(endpoint, limits(held_bytes=1000, in_flight=9))
         endpoint.release.clear()
@@ -187,9 +197,11 @@ def test_a_failure_behind_it_leaves_room() -> None:
     """Counts go down whatever happens."""
 
     async def broken(scope: Scope, receive: Receive, send: Send) -> None:
+        """A client that is gone."""
         raise RuntimeError
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         intake = Intake(broken, limits(in_flight=1, in_flight_per_caller=1, held_bytes=150))
         for _ in range(3):
             try:

@@ -97,6 +97,7 @@ def test_lines_are_written_soon_and_many_at_once() -> None:
     """A moment after the first of them, or when there are many; each is a line of its own."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         stream = io.StringIO()
         log = RequestLog(stream)
         log.add({"status": 1})

@@ -15,6 +15,7 @@ def test_a_function_runs_in_a_thread() -> None:
     workers = Workers(1, 0, 10.0)
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         assert await workers.run(threading.current_thread) is not threading.main_thread()
         with pytest.raises(ZeroDivisionError):
             await workers.run(divmod, 1, 0)
@@ -28,6 +29,7 @@ def test_what_does_not_fit_the_queue_is_refused_at_once() -> None:
     workers, release = Workers(1, 1, 10.0), threading.Event()
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         first, second = (asyncio.ensure_future(workers.run(release.wait)) for _ in range(2))
         await asyncio.sleep(0)
         with pytest.raises(OverloadedError):
@@ -45,6 +47,7 @@ def test_what_waits_too_long_is_told_and_never_begun() -> None:
     workers, release, begun = Workers(1, 1, 0.05), threading.Event(), threading.Event()
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         holding = asyncio.ensure_future(workers.run(release.wait))
         await asyncio.sleep(0)
         with pytest.raises(DeadlineError):

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 from service.contract import ObjectContext
-from training.data import Pushes, declare_dataset, omnipush_descriptors, read_folder, write_object
+from training.data import Pushes, declare_dataset, read_folder, write_object
+from training.published import omnipush_descriptors
 
 if TYPE_CHECKING:
     from training.recipes import Recipe

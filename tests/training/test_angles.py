@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from training.angles import circular, wrapped
-from training.data import published_normalisation
+from training.published import published_normalisation
 
 
 @pytest.mark.parametrize(

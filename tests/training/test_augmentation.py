@@ -12,9 +12,10 @@ from mujoco import rollout
 from service.contract import PUSH_LENGTH_M, ContextKind, ObjectContext
 from service.images import GreyImage, visual_context
 from training.augmentation import FURTHEST_START_M, REACH_M, augmented, in_symmetric_frames, missing_pushers
-from training.data import Pushes, published_normalisation
+from training.data import Pushes
 from training.images import top_down_view
 from training.objects import solid
+from training.published import published_normalisation
 from training.samples import Samples
 from training.scene import PUSHER_RADIUS_M
 from training.simulate import push_object, sample_pushers

@@ -14,20 +14,11 @@ from service.contract import ContextKind
 from service.images import IMAGE_CONVENTION
 from service.registry import Registry
 from training.cli import main
-from training.data import (
-    DATASET_FILE,
-    OUTCOME_SUFFIX,
-    PUSHER_SUFFIX,
-    declare_dataset,
-    different_objects,
-    different_surfaces,
-    omnipush_descriptors,
-    read_folder,
-    write_object,
-)
+from training.data import DATASET_FILE, OUTCOME_SUFFIX, PUSHER_SUFFIX, declare_dataset, read_folder, write_object
 from training.evaluate import evaluate
 from training.fit import WEIGHTS_FILE, load_run
 from training.images import write_views
+from training.published import different_objects, different_surfaces, omnipush_descriptors
 from training.recipes import Recipe
 from training.samples import Samples
 from training.simulate import SimulationPlan

@@ -22,16 +22,18 @@ from training.data import (
     PUSHER_SUFFIX,
     UNKNOWN_SOURCE,
     declare_dataset,
-    different_objects,
-    different_surfaces,
-    different_weights,
     has_object,
-    omnipush_descriptors,
-    published_normalisation,
     read_folder,
     write_object,
 )
 from training.omnipush_files import Variant
+from training.published import (
+    different_objects,
+    different_surfaces,
+    different_weights,
+    omnipush_descriptors,
+    published_normalisation,
+)
 
 Array = npt.NDArray[np.float64]
 

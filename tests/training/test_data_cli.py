@@ -15,7 +15,8 @@ from click.testing import CliRunner, Result
 
 from tests.training.copies import SOURCE, write_surface, write_views
 from training.cli import main
-from training.data import OUTCOME_SUFFIX, PUSHER_SUFFIX, different_surfaces, read_folder
+from training.data import OUTCOME_SUFFIX, PUSHER_SUFFIX, read_folder
+from training.published import different_surfaces
 
 TEN = different_surfaces().test
 FIRST_X, FIRST_Y = TEN[0] + PUSHER_SUFFIX, TEN[0] + OUTCOME_SUFFIX

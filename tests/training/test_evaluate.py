@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from service.contract import ContextKind, FloatArray
-from training.data import Pushes, published_normalisation
+from training.data import Pushes
 from training.evaluate import DISTANCE_MM_PER_RMSE, Evaluation, evaluate, measure
 from training.methods import METHODS
 from training.networks import PUSH_SHAPES, PushNetwork
+from training.published import published_normalisation
 from training.samples import Samples
 
 UNIT = (0.01, 0.02, 0.5)

@@ -19,7 +19,7 @@ from service.loaded_models import LoadedModels
 from service.manifest import MODEL_FILE, ModelReference
 from service.predictor import OnnxPredictor
 from service.registry import Registry
-from training.data import Pushes, published_normalisation, read_folder
+from training.data import Pushes, read_folder
 from training.evaluate import evaluate
 from training.export import (
     PARITY_TOLERANCE,
@@ -33,6 +33,7 @@ from training.fit import fit, load_run
 from training.methods import METHODS
 from training.networks import PUSH_SHAPES, PushNetwork
 from training.probes import extreme_batch, probe_batch
+from training.published import published_normalisation
 from training.recipes import Recipe
 from training.samples import Samples, TrainingData
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from tests.training.copies import plausible_pushes
-from training.data import published_normalisation
 from training.findings import Finding, ObjectPushes, Severity, odd_normalised, surface_findings
 from training.likeness import likeness
 from training.omnipush_files import Array
+from training.published import published_normalisation
 
 FOUR = ("1a1a1a1a", "1a2b3c4a", "2B3a3a4a", "3a3a4a4a")
 ERROR, WARNING = Severity.ERROR, Severity.WARNING

@@ -15,7 +15,7 @@ import torch
 import service
 from service.contract import ContextKind
 from service.errors import DataError
-from training.data import Pushes, different_objects, read_folder
+from training.data import Pushes, read_folder
 from training.evaluate import evaluate
 from training.fit import (
     CHECKPOINT_FILE,
@@ -33,6 +33,7 @@ from training.fit import (
 )
 from training.methods import METHODS
 from training.networks import PUSH_SHAPES, PushNetwork
+from training.published import different_objects
 from training.recipes import Recipe
 from training.samples import Samples, TrainingData
 

@@ -16,7 +16,6 @@ from PIL import Image
 from service.contract import ObjectContext
 from service.errors import DataError
 from service.images import FIELD_OF_VIEW_M, IMAGE_CONVENTION, GreyImage, decode, quality_flags, visual_context
-from training.data import omnipush_descriptors
 from training.images import (
     PIXEL_M,
     UNKNOWN_CONVENTION,
@@ -27,6 +26,7 @@ from training.images import (
     write_views,
 )
 from training.objects import RECTANGLE_DEPTH_M, WEIGHT_RADIUS_M, solid
+from training.published import omnipush_descriptors
 
 BACKGROUND, BODY, LIGHT_WEIGHT, HEAVY_WEIGHT = 0, 128, 179, 255  # of 255: 0, 0.5, 0.7, 1
 OBJECTS = ("1a2a3a4a", "2C3b1a4a", "4a4c1a3b")

@@ -8,10 +8,11 @@ import pytest
 
 from service.errors import DataError
 from tests.training.copies import SOURCE, write_surface, write_views
-from training.data import DATASET_FILE, UNKNOWN_SOURCE, different_surfaces, omnipush_descriptors
+from training.data import DATASET_FILE, UNKNOWN_SOURCE
 from training.findings import Severity
 from training.inspection import Inspection, inspect
 from training.omnipush_files import Variant
+from training.published import different_surfaces, omnipush_descriptors
 from training.release import SurfaceKind
 
 TEN = different_surfaces().test

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from tests.training.copies import write_surface, write_views
-from training.data import different_surfaces, omnipush_descriptors
 from training.findings import Finding, Severity
 from training.inspection import Inspection, inspect
 from training.inspection_text import SHOWN, inspection_document, inspection_lines, likeness_lines, next_step
+from training.published import different_surfaces, omnipush_descriptors
 
 
 @pytest.fixture

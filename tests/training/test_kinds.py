@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 
 from service.contract import SHAPE_DIGITS, TRIANGULAR, WEIGHT_LETTERS
 from service.errors import DataError, InvalidRequestError
-from training.data import omnipush_descriptors
 from training.kinds import by_kind, canonical_descriptor, find_kinds, named, quarter_turns, shortened
+from training.published import omnipush_descriptors
 
 sides = st.sampled_from(
     [shape + weight for shape in SHAPE_DIGITS for weight in WEIGHT_LETTERS if shape == TRIANGULAR or weight in "abc"]

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tests.training.copies import plausible_pushes
-from training.data import Normalisation, published_normalisation
 from training.likeness import QUANTITIES, likeness, missed
+from training.published import Normalisation, published_normalisation
 
 
 def test_figures_are_means_and_deviations_in_order() -> None:

@@ -1,8 +1,8 @@
 """The published lists, as a folder has them."""
 
-from training.data import different_objects, different_surfaces, omnipush_descriptors
 from training.findings import Severity
 from training.membership import membership
+from training.published import different_objects, different_surfaces, omnipush_descriptors
 from training.release import SurfaceKind
 
 

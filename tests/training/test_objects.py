@@ -8,8 +8,8 @@ import numpy.typing as npt
 import pytest
 
 from service.contract import ObjectContext
-from training.data import omnipush_descriptors
 from training.objects import CORE_HALF_WIDTH_M, RECTANGLE_DEPTH_M, Polygon, Solid, clearance_m, solid
+from training.published import omnipush_descriptors
 
 CORE_AREA_M2 = 4.0 * CORE_HALF_WIDTH_M**2
 UNIT_SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])

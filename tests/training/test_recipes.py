@@ -7,9 +7,9 @@ import pytest
 
 from service.errors import DataError
 from service.manifest import is_name
-from training.data import different_objects
 from training.experiments import Cell, experiments
 from training.methods import METHODS
+from training.published import different_objects
 from training.recipes import Recipe, parse_recipe, parse_recipe_record, read_recipe, recipe_names
 
 SERVED = ["push-indicator", "push-none", "push-visual"]

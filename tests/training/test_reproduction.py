@@ -8,10 +8,11 @@ import pytest
 
 from service.contract import ContextKind
 from service.errors import DataError
-from training.data import Pushes, different_objects
+from training.data import Pushes
 from training.evaluate import evaluate
 from training.experiments import Cell, Experiment, experiments
 from training.fit import CHECKPOINT_FILE, COST_FILE, METRICS_FILE, WEIGHTS_FILE, load_run
+from training.published import different_objects
 from training.reproduction import CELLS, data_reader, reproduce
 from training.samples import TrainingData
 

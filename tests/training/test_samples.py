@@ -9,16 +9,9 @@ import torch
 
 from service.contract import ContextKind, VisualContext
 from service.errors import DataError
-from training.data import (
-    Pushes,
-    Split,
-    declare_dataset,
-    different_objects,
-    published_normalisation,
-    read_folder,
-    write_object,
-)
+from training.data import Pushes, declare_dataset, read_folder, write_object
 from training.images import write_views
+from training.published import Split, different_objects, published_normalisation
 from training.samples import Samples, TrainingData, contexts, read_pushes, read_training_data
 
 

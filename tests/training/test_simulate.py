@@ -15,17 +15,10 @@ from mujoco import rollout
 
 from service.contract import PUSH_LENGTH_M, ObjectContext
 from service.errors import DataError
-from training.data import (
-    DATASET_FILE,
-    OUTCOME_SUFFIX,
-    PUSHER_SUFFIX,
-    Pushes,
-    omnipush_descriptors,
-    published_normalisation,
-    read_folder,
-)
+from training.data import DATASET_FILE, OUTCOME_SUFFIX, PUSHER_SUFFIX, Pushes, read_folder
 from training.likeness import QUANTITIES, likeness, missed
 from training.objects import CIRCLE_RADIUS_M, CORE_HALF_WIDTH_M, Solid, clearance_m, solid
+from training.published import omnipush_descriptors, published_normalisation
 from training.scene import PUSHER_RADIUS_M, scene
 from training.simulate import (
     AIM_RADIUS_M,

@@ -7,8 +7,9 @@ import pytest
 
 from service.errors import DataError
 from tests.training.copies import SOURCE, plausible_pushes, write_surface
-from training.data import DATASET_FILE, UNKNOWN_SOURCE, omnipush_descriptors, read_folder, write_object
+from training.data import DATASET_FILE, UNKNOWN_SOURCE, read_folder, write_object
 from training.omnipush_files import Variant, list_folder
+from training.published import omnipush_descriptors
 from training.simulate import SimulationPlan, simulate_dataset
 from training.variants import export_variants
 

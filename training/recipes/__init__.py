@@ -12,8 +12,8 @@ from typing import Any, Final
 from service.contract import ContextKind
 from service.errors import DataError
 from service.manifest import is_name
-from training.data import Split, all_objects, different_objects, different_surfaces, different_weights
 from training.methods import METHODS, Method
+from training.published import Split, all_objects, different_objects, different_surfaces, different_weights
 
 SET_UPS: Final[dict[str, Callable[[], Split]]] = {
     "all-objects": all_objects,
