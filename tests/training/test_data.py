@@ -1,14 +1,12 @@
 """Omnipush-format folders: what is read, what is refused by name, what the digest vouches for."""
 
 import io
-import json
 import math
 import os
 import pickle
 import re
 import shutil
 from collections.abc import Callable
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +25,6 @@ from training.data import (
     write_object,
 )
 from training.omnipush_files import Variant
-from training.published import (
-    different_objects,
-    different_surfaces,
-    different_weights,
-    omnipush_descriptors,
-    published_normalisation,
-)
 
 Array = npt.NDArray[np.float64]
 
@@ -418,47 +409,3 @@ def test_writing_leaves_nothing_but_the_two_files(tmp_path: Path) -> None:
     write_object(tmp_path, FIRST, some_rows(1, 1), some_rows(1, 2))
 
     assert sorted(path.name for path in tmp_path.iterdir()) == [FIRST_X, FIRST_Y]
-
-
-def test_the_published_split_has_200_and_50_objects() -> None:
-    """No object is on both sides, and all 250 are Omnipush's."""
-    split = different_objects()
-
-    assert (len(set(split.train)), len(set(split.test))) == (200, 50)
-    assert (len(split.train), len(split.test)) == (200, 50)
-    assert not set(split.train) & set(split.test)
-    assert omnipush_descriptors() == tuple(sorted({*split.train, *split.test}))
-
-
-def test_surfaces_train_on_abs_and_test_on_plywood() -> None:
-    """All 250 objects against 10, nine of which are among them, as published."""
-    split = different_surfaces()
-
-    assert (split.name, split.test_surface) == ("different-surfaces", "plywood")
-    assert split.train == omnipush_descriptors()
-    assert len(split.test) == len(set(split.test)) == 10
-    assert len(set(split.test) & set(split.train)) == 9
-
-
-@pytest.mark.parametrize(("held_out", "objects"), [(0, 70), (1, 90), (2, 90)])
-def test_weights_hold_out_all_objects_with_that_many(held_out: int, objects: int) -> None:
-    """70, 90 and 90 objects to test on; nobody is on both sides and nobody is left out."""
-    split = different_weights(held_out)
-
-    assert (split.name, split.test_surface) == (f"different-weights-{held_out}", None)
-    assert len(split.test) == objects
-    assert set(split.test).isdisjoint(split.train)
-    assert sorted(split.test + split.train) == list(omnipush_descriptors())
-    assert {sum(letter not in "a1234" for letter in name) for name in split.test} == {held_out}
-    assert {sum(letter not in "a1234" for letter in name) for name in split.train} == {0, 1, 2} - {held_out}
-
-
-def test_the_normalisation_is_the_published_one() -> None:
-    """The statistics are those of the facts file, and those that the design quotes."""
-    facts = json.loads(resources.files("training").joinpath("omnipush_facts.json").read_text(encoding="utf-8"))
-    known = published_normalisation()
-
-    for name in ("input_mean", "input_std", "output_mean", "output_std"):
-        assert getattr(known, name).tolist() == facts["normalisation"][name], name
-    assert known.input_std == pytest.approx([0.0555, 0.0565, 1.802], rel=0.001)
-    assert known.output_std == pytest.approx([0.01537, 0.01563, 0.215], rel=0.001)
