@@ -15,7 +15,9 @@ Rows = list[tuple[tuple[str, ...], float]]
 
 def vitals(models: LoadedModels, readiness: Readiness, workers: Workers, intake: Intake) -> Readings:
     """What is served and how well, and what is being worked on."""
-    return Readings((*_of_the_process(readiness, workers, intake), *_of_models(models, readiness), *_of_looking(models)))
+    return Readings(
+        (*_of_the_process(readiness, workers, intake), *_of_models(models, readiness), *_of_looking(models))
+    )
 
 
 def _of_the_process(readiness: Readiness, workers: Workers, intake: Intake) -> tuple[Reading, ...]:
