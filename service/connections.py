@@ -5,6 +5,7 @@ without end. What cannot be read as HTTP is answered as a problem, like every ot
 """
 
 import asyncio
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Final
 
@@ -13,12 +14,14 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from service.problems import MEDIA_TYPE, problem_body
 
 MAX_HEAD_BYTES: Final = 64 * 1024
+LINGER_S: Final = 0.25  # a request that was sent before its client saw the end is here by then
 
 
 class BoundedConnection(HttpToolsProtocol):
     """HTTP/1.1 whose heads arrive in time and are of bounded size."""
 
     head_s = 10.0
+    refused: Callable[[str], None] = staticmethod(lambda code: None)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Begin to look at the clock."""
@@ -58,6 +61,13 @@ class BoundedConnection(HttpToolsProtocol):
         self._waits_since = self.loop.time()
         super().on_response_complete()
 
+    def shutdown(self) -> None:
+        """The doors are closed; what is on its way on an open connection is still answered, as the last on it."""
+        if self.cycle is None or self.cycle.response_complete:
+            self.loop.call_later(LINGER_S, super().shutdown)
+        else:
+            super().shutdown()
+
     def send_400_response(self, msg: str) -> None:
         """Answer what is no HTTP."""
         self._refuse(HTTPStatus.BAD_REQUEST, "malformed_request", "received what is no HTTP/1.1; accepted is that")
@@ -77,6 +87,7 @@ class BoundedConnection(HttpToolsProtocol):
         """Write a problem and close: there is no request yet that an application could answer."""
         if self.transport.is_closing():
             return
+        self.refused(code)
         body = problem_body(status, code, status.phrase, detail)
         head = (
             f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-type: {MEDIA_TYPE}\r\n"
@@ -86,6 +97,6 @@ class BoundedConnection(HttpToolsProtocol):
         self.transport.close()
 
 
-def bounded_connection(head_s: float) -> type[Any]:
-    """The class of connections whose heads may take so long; uvicorn makes them itself."""
-    return type("Connection", (BoundedConnection,), {"head_s": head_s})
+def bounded_connection(head_s: float, refused: Callable[[str], None]) -> type[Any]:
+    """The class of connections whose heads may take so long, and who is told of refusals; uvicorn makes them itself."""
+    return type("Connection", (BoundedConnection,), {"head_s": head_s, "refused": staticmethod(refused)})

@@ -1,0 +1,246 @@
+"""What Prometheus reads: how many, how long, how sure we are that models answer.
+
+Counting happens in the event loop only and costs about a microsecond: a request finds its series by one look into a
+dictionary. Everything else is done when somebody reads. Labels are templates of routes, codes of problems, and
+names and versions of models that are served; series of versions that are served no more are dropped, so that a
+registry that changes for years does not grow them. A process has its own metrics: replicas are summed by Prometheus.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from threading import Lock
+from typing import Any, Final
+
+import numpy as np
+from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
+from prometheus_client.metrics_core import Metric
+from prometheus_client.registry import Collector
+
+from service.stopwatch import Part, Parts
+
+CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
+# A single push takes 0.1 ms, ten thousand of them with images take seconds.
+SECONDS: Final = (
+    *(0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025),
+    *(0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0),
+)
+INFERENCE_SECONDS: Final = (0.00001, 0.000025, 0.00005, *SECONDS[:-3])
+ROWS: Final = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0, 10_000.0)
+_FOLD: Final = 1024
+MODEL_LABELS: Final = ("route", "model", "version")
+
+
+class Distribution:
+    """Counts of values by bound, and their sum: what a histogram of Prometheus is made of.
+
+    Values are appended to ``recent``, and sorted into their buckets many at a time: one by one costs more.
+    """
+
+    __slots__ = ("_bounds", "_counts", "_total", "recent")
+
+    def __init__(self, bounds: Sequence[float]) -> None:
+        self.recent: list[float] = []
+        self._bounds = bounds
+        self._counts = np.zeros(len(bounds) + 1, dtype=np.int64)
+        self._total = 0.0
+
+    def fold(self) -> None:
+        """Sort what is recent into buckets; one thread at a time, others may append meanwhile."""
+        count = len(self.recent)
+        if not count:
+            return
+        values = np.array(self.recent[:count])
+        del self.recent[:count]
+        places = np.searchsorted(self._bounds, values)  # the first bound that is not below
+        self._counts += np.bincount(places, minlength=len(self._counts))
+        self._total += float(values.sum())
+
+    @property
+    def total(self) -> float:
+        """The sum of what was folded."""
+        return self._total
+
+    def buckets(self) -> list[tuple[str, float]]:
+        """Upper bounds and how many of what was folded were no greater, as Prometheus has them."""
+        names = (*map(repr, self._bounds), "+Inf")
+        return list(zip(names, self._counts.cumsum().astype(float).tolist(), strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Served:
+    """What one route answered by one version; neither for answers that no model gave."""
+
+    duration_s: Distribution = field(default_factory=lambda: Distribution(SECONDS))
+    inference_s: Distribution = field(default_factory=lambda: Distribution(INFERENCE_SECONDS))
+    rows: Distribution = field(default_factory=lambda: Distribution(ROWS))
+    statuses: Counter[int] = field(default_factory=Counter)
+
+    def fold(self) -> None:
+        """Sort what is recent into buckets."""
+        for distribution in (self.duration_s, self.inference_s, self.rows):
+            distribution.fold()
+
+
+class RequestMetrics(Collector):
+    """Every request: its route, its model, its time and that of its parts."""
+
+    def __init__(self, is_served: Callable[[str, int], bool]) -> None:
+        self._is_served = is_served
+        self._series: dict[tuple[str, str, int], Served] = {}
+        self._statuses: Counter[tuple[str, int]] = Counter()  # of series that were dropped: a counter never falls
+        self._waits: dict[Part, Distribution] = {"queue": Distribution(SECONDS), "decode": Distribution(SECONDS)}
+        self._folding = Lock()
+        self._refusals: Counter[str] = Counter()
+
+    def note(self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Parts) -> None:
+        """Count a request: what it took, what the log says of its model, and (name, seconds) of its parts."""
+        key = (route, noted["model"], noted["version"]) if noted else (route, "", 0)
+        series = self._series.get(key)
+        if series is None:
+            series = self._series[key] = Served()
+        series.statuses[status] += 1
+        durations = series.duration_s.recent
+        durations.append(duration_s)
+        if noted:
+            series.rows.recent.append(noted["pushes"])
+        for name, seconds in parts:
+            if name == "inference":
+                series.inference_s.recent.append(seconds)
+            else:
+                self._waits[name].recent.append(seconds)
+        if len(durations) >= _FOLD:
+            self._fold()
+
+    def refuse(self, reason: str) -> None:
+        """Count a request that was answered by a problem of this code."""
+        self._refusals[reason] += 1
+
+    def collect(self) -> Iterator[Metric]:
+        """The families, as they are now."""
+        self._fold()
+        self._drop_released()
+        series = [((route, model, str(version or "")), found) for (route, model, version), found in self._items()]
+        statuses = Counter(self._statuses)
+        for (route, *_), found in series:
+            statuses.update({(route, status): count for status, count in found.statuses.items()})
+        yield _counter(
+            "cazsl_requests",
+            "Requests by route and HTTP status; 0: the client left before the answer.",
+            ("route", "status"),
+            (((route, str(status)), count) for (route, status), count in statuses.items()),
+        )
+        yield _histogram(
+            "cazsl_request_duration_seconds",
+            "From the head of a request to the end of its answer; the body it waits for included.",
+            MODEL_LABELS,
+            ((labels, found.duration_s) for labels, found in series),
+        )
+        by_model = [(labels, found) for labels, found in series if labels[1]]
+        yield _histogram(
+            "cazsl_inference_duration_seconds",
+            "In the runtime, all rows of a request at once.",
+            MODEL_LABELS,
+            ((labels, found.inference_s) for labels, found in by_model),
+        )
+        yield _histogram(
+            "cazsl_request_rows",
+            "Pushes per answered request.",
+            MODEL_LABELS,
+            ((labels, found.rows) for labels, found in by_model),
+        )
+        yield _histogram(
+            "cazsl_queue_wait_seconds",
+            "How long large batches and images waited for a thread.",
+            (),
+            [((), self._waits["queue"])],
+        )
+        yield _histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._waits["decode"])])
+        yield _counter(
+            "cazsl_refusals",
+            "Requests answered by a problem, by its code.",
+            ("reason",),
+            (((reason,), count) for reason, count in list(self._refusals.items())),
+        )
+
+    def _fold(self) -> None:
+        with self._folding:  # from the event loop, or the thread of somebody who reads
+            for wait in self._waits.values():
+                wait.fold()
+            for _, found in self._items():
+                found.fold()
+
+    def _items(self) -> list[tuple[tuple[str, str, int], Served]]:
+        return list(self._series.items())  # in one go: whoever reads may do so in a thread
+
+    def _drop_released(self) -> None:
+        for (route, model, version), found in self._items():
+            if model and not self._is_served(model, version):
+                del self._series[route, model, version]
+                self._statuses.update({(route, status): count for status, count in found.statuses.items()})
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A number that somebody else keeps, read when Prometheus asks: a gauge, or a counter."""
+
+    name: str
+    meaning: str
+    labels: tuple[str, ...]
+    read: Callable[[], Iterable[tuple[tuple[str, ...], float]]]
+    counts: bool = False
+
+
+class Readings(Collector):
+    """Numbers that others keep."""
+
+    def __init__(self, readings: Sequence[Reading]) -> None:
+        self._readings = readings
+
+    def collect(self) -> Iterator[Metric]:
+        """The families, as they are now."""
+        for reading in self._readings:
+            family = _counter if reading.counts else _gauge
+            yield family(reading.name, reading.meaning, reading.labels, reading.read())
+
+
+def exposition(*collectors: Collector) -> CollectorRegistry:
+    """What is scraped: these collectors, and memory, processor time and files of the process."""
+    registry = CollectorRegistry(auto_describe=False)
+    for collector in collectors:
+        registry.register(collector)
+    ProcessCollector(registry=registry)
+    return registry
+
+
+def render(registry: CollectorRegistry) -> bytes:
+    """The text that Prometheus reads, in ``CONTENT_TYPE``."""
+    return generate_latest(registry)
+
+
+def _gauge(
+    name: str, meaning: str, labels: Sequence[str], rows: Iterable[tuple[tuple[str, ...], float]]
+) -> GaugeMetricFamily:
+    family = GaugeMetricFamily(name, meaning, labels=labels)
+    for values, number in rows:
+        family.add_metric(values, number)
+    return family
+
+
+def _counter(
+    name: str, meaning: str, labels: Sequence[str], rows: Iterable[tuple[tuple[str, ...], float]]
+) -> CounterMetricFamily:
+    family = CounterMetricFamily(name, meaning, labels=labels)
+    for values, number in rows:
+        family.add_metric(values, number)
+    return family
+
+
+def _histogram(
+    name: str, meaning: str, labels: Sequence[str], rows: Iterable[tuple[tuple[str, ...], Distribution]]
+) -> HistogramMetricFamily:
+    family = HistogramMetricFamily(name, meaning, labels=labels)
+    for values, found in rows:
+        family.add_metric(values, found.buckets(), found.total)
+    return family
