@@ -6,8 +6,8 @@ The paper's own figures are in ``paper_tables.toml``.
 """
 
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib import resources
 from typing import Final
@@ -122,6 +122,16 @@ class Experiment:
     def cells(self) -> tuple[Cell, ...]:
         """Everything that is trained, once each, in the order of the tables."""
         return tuple(dict.fromkeys(table.cell(method) for table in self.tables for method in table.paper))
+
+    def without(self, methods: Collection[str]) -> "Experiment":
+        """The same without the rows of these methods, and without the claims that need them."""
+        left = []
+        for table in self.tables:
+            gone = {table.cell(method) for method in table.paper if method in methods}
+            claims = tuple(claim for claim in table.claims if not gone & {*claim.lower, *claim.higher})
+            rows = {method: figures for method, figures in table.paper.items() if method not in methods}
+            left.append(replace(table, paper=rows, claims=claims))
+        return replace(self, tables=tuple(left))
 
     def recipe(self, wanted: Cell, seed: int, epochs: int | None = None) -> Recipe:
         """The training of a cell, as the paper has it."""

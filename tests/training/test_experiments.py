@@ -36,6 +36,17 @@ def test_an_experiment_trains_each_cell_once(name: str, tables: int, cells: int,
     assert (found.seeds, found.epochs) == (seeds, epochs)
 
 
+def test_a_row_that_is_left_out_takes_its_claims_along() -> None:
+    """Without ANP every table loses one row and the claim about it; the other claims are as they were."""
+    whole, left = experiments()["different-objects"], experiments()["different-objects"].without(["ANP"])
+
+    assert len(left.cells) == len(whole.cells) - 1
+    for table, before in zip(left.tables, whole.tables, strict=True):
+        assert "ANP" not in table.paper
+        assert table.claims == tuple(claim for claim in before.claims if "ANP" not in claim.text)
+        assert 0 < len(table.claims) < len(before.claims)
+
+
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.title)
 def test_the_paper_s_claims_hold_for_the_paper_s_figures(table: Table) -> None:
     """Otherwise they would not be its claims, or a figure is copied wrong."""
