@@ -9,6 +9,7 @@ from service.errors import NotAcceptableError
 from service.keys import Keys, Scope, authorization_of
 from service.loaded_models import Snapshot
 from service.predictions import Answer
+from service.readiness import Readiness
 from service.workers import Workers
 
 _JSON_RANGES = frozenset(("*/*", "application/*", "application/json"))
@@ -25,6 +26,12 @@ def workers_of(request: Request) -> Workers:
     """The threads for what takes longer."""
     workers: Workers = request.app.state.workers
     return workers
+
+
+def readiness_of(request: Request) -> Readiness:
+    """What the probes found."""
+    readiness: Readiness = request.app.state.readiness
+    return readiness
 
 
 def respond(request: Request, answer: Answer) -> Response:
@@ -49,6 +56,16 @@ async def takes_json(request: Request) -> None:
         if media_range in _JSON_RANGES and not refused:
             return
     raise NotAcceptableError
+
+
+async def may_read_metrics(request: Request) -> None:
+    """A dependency: the key covers metrics.
+
+    Raises:
+        MissingKeyError, ForbiddenError: it does not.
+    """
+    keys: Keys = request.app.state.keys
+    keys.admit(authorization_of(request.scope["headers"]), Scope.METRICS)
 
 
 async def may_predict(

@@ -5,23 +5,28 @@ import contextlib
 import gc
 import logging
 from collections.abc import AsyncIterator
-from typing import Any
+from typing import Any, Final
 
 from fastapi import Depends, FastAPI
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
-from service import open_inference, routes
+from service import monitoring, open_inference, routes
 from service.access import may_predict
 from service.errors import CazslError
 from service.fast_path import FastPath
 from service.intake import Intake, IntakeLimits
 from service.keys import Keys
 from service.loaded_models import LoadedModels
+from service.metrics import RequestMetrics, exposition
 from service.problems import install_problem_handlers, problem_response, state_media_type
+from service.readiness import Readiness
 from service.settings import Settings
 from service.telemetry import RequestLog, RequestTelemetry
+from service.vitals import vitals
 from service.workers import Workers, processors
+
+_FIRST_LOOK_S: Final = 2.0
 
 logger = logging.getLogger(__name__)
 
@@ -60,18 +65,23 @@ def create_app(settings: Settings, models: LoadedModels, log: RequestLog | None 
     log = log or RequestLog()
     workers = Workers(processors(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
+    readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
 
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        """Look at the registry before the first request and from then on."""
-        await asyncio.to_thread(models.refresh)
-        gc.collect()
-        gc.freeze()  # what is here now stays: walking it again and again cost 5 us a push, and a pause now and then
-        poll = asyncio.create_task(_poll(models, settings.poll_interval_s))
+        """Look at the registry before the first request, unless that takes long, and from then on."""
+        looked = asyncio.Event()
+        timers = [
+            asyncio.create_task(_poll(models, settings.poll_interval_s, looked)),
+            asyncio.create_task(_probe(readiness, settings.probe_interval_s)),
+        ]
+        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers meanwhile, /readyz says so
+            await asyncio.wait_for(looked.wait(), _FIRST_LOOK_S)
         yield
-        poll.cancel()
-        with contextlib.suppress(asyncio.CancelledError):
-            await poll
+        for timer in timers:
+            timer.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await timer
         gc.unfreeze()
         workers.close()
         log.flush()
@@ -87,15 +97,22 @@ def create_app(settings: Settings, models: LoadedModels, log: RequestLog | None 
     app.state.max_body_bytes = settings.max_body_bytes
     app.state.workers = workers
     app.state.keys = keys
+    app.state.readiness = readiness
     guard = [Depends(may_predict)] if keys.wanted else []
     app.include_router(routes.health)
     app.include_router(routes.router, dependencies=guard)
     app.include_router(routes.uploads, dependencies=guard)
     app.include_router(open_inference.health)
+    if settings.metrics_port is None:
+        app.include_router(monitoring.router)
     app.include_router(open_inference.router, dependencies=guard)
     install_problem_handlers(app)
     fast_path = FastPath(app.framework, models, workers, keys)
-    app.rings = RequestTelemetry(Intake(fast_path, _limits(settings)), _internal_error, log)
+    intake = Intake(fast_path, _limits(settings))
+    requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
+    app.state.requests = requests
+    app.state.metrics = exposition(requests, vitals(models, readiness, workers, intake))
+    app.rings = RequestTelemetry(intake, _internal_error, log, requests)
     return app
 
 
@@ -109,14 +126,28 @@ def _limits(settings: Settings) -> IntakeLimits:
     )
 
 
-async def _poll(models: LoadedModels, interval_s: float) -> None:
-    """Look for new versions and moved aliases, for as long as the app lives."""
+async def _poll(models: LoadedModels, interval_s: float, looked: asyncio.Event) -> None:
+    """Look for new versions and moved aliases, now and for as long as the app lives."""
     while True:
-        await asyncio.sleep(interval_s)
         try:
             await asyncio.to_thread(models.refresh)
         except Exception:  # the outermost ring of this task: a bug here must not end the looking, unseen
             logger.exception("refresh failed")
+        if not looked.is_set():
+            gc.collect()
+            gc.freeze()  # what is here now stays: walking it again and again cost 5 us a push, and a pause now and then
+            looked.set()
+        await asyncio.sleep(interval_s)
+
+
+async def _probe(readiness: Readiness, interval_s: float) -> None:
+    """Ask every model for its self-check, for as long as the app lives."""
+    while True:
+        await asyncio.sleep(interval_s)
+        try:
+            await readiness.probe()
+        except Exception:  # as above
+            logger.exception("probe failed")
 
 
 async def _internal_error(scope: Scope, receive: Receive, send: Send) -> None:

@@ -8,10 +8,12 @@ from typing import Any
 import click
 import pydantic
 import uvicorn
+from prometheus_client import start_http_server
 
 import service
 import service.changes_cli
 from service.app import create_app
+from service.config_cli import config, configured, settings_options
 from service.connections import bounded_connection
 from service.contract import ContextKind
 from service.errors import CazslError
@@ -23,9 +25,9 @@ from service.object_bodies import ContextBody
 from service.predictions import predict_with
 from service.predictor import OnnxPredictor
 from service.requests import PredictRequest, PusherBody
-from service.settings import Settings
+from service.server import DrainingServer
 from service.telemetry import configure_logging
-from service.terminal import mend, registry_option
+from service.terminal import FAILED, mend, registry_option
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -35,52 +37,58 @@ def main() -> None:
 
     \b
     cazsl serve                                        start the HTTP service on 127.0.0.1:8000
+    cazsl config                                       every setting, and where its value came from
     cazsl predict 1a2b3c4a -- -0.075 0 0               one prediction, without a service
     cazsl models list                                  what is published
 
-    Settings come from the environment (CAZSL_REGISTRY, CAZSL_PORT, ...); options win over them.
+    Settings come from options, the environment (CAZSL_REGISTRY, CAZSL_PORT, ...) and a file (CAZSL_CONFIG): the first
+    that names one wins.
     """
 
 
 @main.command()
-@click.option("--host", help="Address to listen on. [default: 127.0.0.1]")
-@click.option("--port", type=int, help="Port to listen on; 0 picks a free one. [default: 8000]")
-@click.option("--registry", help="The folder of models, or s3://bucket/prefix. [default: models]")
+@settings_options
 def serve(**options: Any) -> None:
     """Start the HTTP service; /docs shows and tries every route.
 
     New versions and moved aliases are served without a restart. SIGTERM finishes running requests, then stops.
+    `cazsl config` shows every setting.
     """
-    try:
-        settings = Settings(**{name: value for name, value in options.items() if value is not None})
-    except pydantic.ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        name = "CAZSL_" + "_".join(str(part) for part in first["loc"]).upper()
-        raise click.ClickException(f"{name}: {first['msg']}") from error
+    settings = configured(options).settings
     configure_logging(settings.log_level)
     try:
         keys = trusted_keys(settings.require_signature)
-        registry = open_registry(settings.registry, keys, settings.max_model_bytes)
+        registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     except CazslError as error:
         raise click.ClickException(str(error)) from error
-    models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
+    app = create_app(settings, LoadedModels(registry, OnnxPredictor, settings.newest_versions))
     if sys.stdout.isatty():  # a person; whoever collects logs gets JSON lines only
         click.echo(f"serving {settings.registry}; try http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success
     signal.signal(signal.SIGTERM, lambda *_: None)
-    uvicorn.run(
-        create_app(settings, models),
+    serving = uvicorn.Config(
+        app,
         host=settings.host,
         port=settings.port,
         log_config=None,
         access_log=False,
         server_header=False,
-        http=bounded_connection(settings.body_timeout_s),
+        http=bounded_connection(settings.body_timeout_s, app.state.requests.refuse),
         proxy_headers=False,  # who asks is who connects
         timeout_graceful_shutdown=settings.grace_s,
     )
+    if settings.metrics_port is not None:
+        try:
+            start_http_server(settings.metrics_port, settings.host, app.state.metrics)
+        except OSError as error:
+            raise click.ClickException(f"CAZSL_METRICS_PORT: {settings.metrics_port}: {error.strerror}") from error
+    server = DrainingServer(serving, settings.drain_s, app.state.readiness.drain)
+    server.run()
+    if not server.started:
+        sys.exit(FAILED)
 
 
+main.add_command(config)
 main.add_command(models)
 
 

@@ -5,6 +5,7 @@ without end. What cannot be read as HTTP is answered as a problem, like every ot
 """
 
 import asyncio
+from collections.abc import Callable
 from http import HTTPStatus
 from typing import Any, Final
 
@@ -19,6 +20,7 @@ class BoundedConnection(HttpToolsProtocol):
     """HTTP/1.1 whose heads arrive in time and are of bounded size."""
 
     head_s = 10.0
+    refused: Callable[[str], None] = staticmethod(lambda code: None)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Begin to look at the clock."""
@@ -77,6 +79,7 @@ class BoundedConnection(HttpToolsProtocol):
         """Write a problem and close: there is no request yet that an application could answer."""
         if self.transport.is_closing():
             return
+        self.refused(code)
         body = problem_body(status, code, status.phrase, detail)
         head = (
             f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-type: {MEDIA_TYPE}\r\n"
@@ -86,6 +89,6 @@ class BoundedConnection(HttpToolsProtocol):
         self.transport.close()
 
 
-def bounded_connection(head_s: float) -> type[Any]:
-    """The class of connections whose heads may take so long; uvicorn makes them itself."""
-    return type("Connection", (BoundedConnection,), {"head_s": head_s})
+def bounded_connection(head_s: float, refused: Callable[[str], None]) -> type[Any]:
+    """The class of connections whose heads may take so long, and who is told of refusals; uvicorn makes them itself."""
+    return type("Connection", (BoundedConnection,), {"head_s": head_s, "refused": staticmethod(refused)})

@@ -26,6 +26,7 @@
     │   ├── ConflictError              500  somebody else changed it first; nothing was changed
     │   └── InUseError                 500  an alias names it; nothing was removed
     ├── PredictionError                500  the runtime failed, or gave what no model may give
+    ├── SettingsError                       the operator set what is no setting, or cannot be (command line only)
     └── DataError                           pushes on disk cannot be trained on (trainer only)
 
 Each class carries a stable ``code``, an HTTP ``status`` and the words a client needs: what was received, what is
@@ -278,6 +279,13 @@ class PredictionError(CazslError):
 
     code = "prediction"
     title = "The prediction failed"
+
+
+class SettingsError(CazslError):
+    """A setting is unknown or impossible; the message names it and where it was set."""
+
+    code = "settings"
+    title = "The service cannot be started like this"
 
 
 class DataError(CazslError):

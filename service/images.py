@@ -27,6 +27,7 @@ from PIL import Image
 from service.contract import VISUAL_SIZE, VisualContext
 from service.errors import FieldFault, InvalidImageError, RequestError
 from service.image_files import ImageLimits, read_image_file
+from service.stopwatch import timed
 
 __all__ = [
     "BACKGROUND_LEVEL",
@@ -116,6 +117,11 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
         UnsupportedImageError: another format.
         InvalidImageError: broken, truncated, animated, or more than one picture.
     """
+    with timed("decode"):
+        return _decode(content, limits, where)
+
+
+def _decode(content: bytes, limits: ImageLimits, where: str) -> GreyImage:
     file = read_image_file(content, limits, where)
     try:
         with Image.open(io.BytesIO(file.content), formats=(file.format,)) as image:

@@ -94,8 +94,8 @@ class Intake:
         self._app = app
         self._limits = limits
         self._patience = Patience(limits.body_s)
-        self._in_flight = 0
-        self._held_bytes = 0
+        self.in_flight = 0
+        self.held_bytes = 0
         self._callers: Counter[object] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -115,19 +115,19 @@ class Intake:
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
         else:
-            self._in_flight += 1
+            self.in_flight += 1
             try:
                 await self._app(scope, WholeBody(content, receive), send)
             finally:
-                self._in_flight -= 1
+                self.in_flight -= 1
                 self._leave(caller)
         finally:
-            self._held_bytes -= len(content)
+            self.held_bytes -= len(content)
 
     def _admit(self, scope: Scope) -> object:
         """Who asks, as far as that is counted."""
         limits = self._limits
-        if self._in_flight >= limits.in_flight:
+        if self.in_flight >= limits.in_flight:
             raise OverloadedError(f"{limits.in_flight} requests in flight")
         if not limits.in_flight_per_caller:
             return None
@@ -160,18 +160,18 @@ class Intake:
                 while more:
                     message = await receive()
                     if message["type"] != "http.request":
-                        self._held_bytes -= size
+                        self.held_bytes -= size
                         return None
                     part, more = message.get("body", b""), message.get("more_body", False)
                     parts.append(part)
                     size += len(part)
-                    self._held_bytes += len(part)
+                    self.held_bytes += len(part)
                     if size > limits.body_bytes:
                         raise BodyTooLargeError(limits.body_bytes)
-                    if self._held_bytes > limits.held_bytes:
+                    if self.held_bytes > limits.held_bytes:
                         raise OverloadedError("as many bytes of requests as it may hold")
             except BaseException:
-                self._held_bytes -= size
+                self.held_bytes -= size
                 raise
         return parts[0] if len(parts) == 1 else b"".join(parts)
 

@@ -12,6 +12,7 @@ import contextlib
 import logging
 import math
 import threading
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -19,7 +20,6 @@ from typing import Final
 import numpy as np
 
 from service.contract import (
-    VISUAL_SIZE,
     ContextKind,
     FloatArray,
     GaussianPose,
@@ -29,7 +29,6 @@ from service.contract import (
     VisualContext,
 )
 from service.errors import (
-    BrokenModelError,
     CazslError,
     ContextKindError,
     FieldFault,
@@ -41,6 +40,9 @@ from service.history import ModelState
 from service.manifest import DEFAULT_ALIAS, Manifest, ModelReference
 from service.predictor import Predictor
 from service.registry import Registry
+from service.self_check import check_itself
+from service.stopwatch import took
+from service.tally import Tally
 
 PredictorFactory = Callable[[bytes, ContextKind], Predictor]
 DEFAULT_MODELS: Final[Mapping[ContextKind, str]] = {kind: f"push-{kind}" for kind in ContextKind}
@@ -75,7 +77,9 @@ class LoadedModel:
         if kind is not self.manifest.context_kind:
             accepted = f"a context of kind {self.manifest.context_kind} for {self.manifest.name}"
             raise ContextKindError([FieldFault("body.context", f"kind {kind}", accepted)])
+        began = time.perf_counter()
         mean, std = self.predictor.predict(pushers, contexts, places)
+        took("inference", time.perf_counter() - began)
         angles = mean[:, 2]
         inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)
         if not inside:
@@ -166,6 +170,7 @@ class LoadedModels:
         self._registry = registry
         self._load = load
         self._newest_versions = newest_versions
+        self.tally = Tally()
         self._snapshot = Snapshot()
         self._seen: object = None
         self._looks = 0
@@ -182,11 +187,14 @@ class LoadedModels:
             self._looks += 1
             try:
                 seen = self._registry.fingerprint()
+                self.tally.registry_up = True
                 if seen == self._seen and not self._snapshot.problems and self._looks % THOROUGH_EVERY:
                     return
                 snapshot = self._next_snapshot()
                 self._seen = seen
             except CazslError as error:
+                self.tally.registry_up = False
+                self.tally.registry_failures += 1
                 snapshot = self._without_news(str(error))
             self._announce(snapshot)
             self._snapshot = snapshot
@@ -218,6 +226,7 @@ class LoadedModels:
                         self._registry, self._load, name, version
                     )
                 except CazslError as error:
+                    self.tally.failures[name] += 1
                     problems.append(f"{name}@{version} is broken and not served: {error}")
             for alias, version in wanted.items():
                 kept = self._snapshot.aliases.get((name, alias))
@@ -251,14 +260,17 @@ class LoadedModels:
         return missing
 
     def _announce(self, new: Snapshot) -> None:
-        """Log what changed, once."""
-        old = self._snapshot
+        """Log and count what changed, once."""
+        old, tally = self._snapshot, self.tally
         for name, version in sorted(new.models.keys() - old.models.keys()):
+            tally.loads[name] += 1
             logger.info("model loaded", extra={"model": name, "version": version})
         for name, version in sorted(old.models.keys() - new.models.keys()):
+            tally.releases[name] += 1
             logger.info("model released", extra={"model": name, "version": version})
         for (name, alias), version in new.aliases.items():
             if old.aliases.get((name, alias)) != version:
+                tally.swaps[name, alias] += (name, alias) in old.aliases
                 logger.info("alias serves", extra={"model": name, "alias": alias, "version": version})
         if new.problems != old.problems:
             for problem in new.problems:
@@ -275,24 +287,3 @@ def load_version(registry: Registry, load: PredictorFactory, name: str, version:
     predictor = load(verified.model, verified.manifest.context_kind)
     check_itself(verified.manifest, predictor)
     return LoadedModel(verified.manifest, verified.card, predictor)
-
-
-def check_itself(manifest: Manifest, predictor: Predictor) -> None:
-    """Run the stored input and compare with the stored output.
-
-    Raises:
-        BrokenModelError: it gives something else.
-    """
-    check = manifest.self_check
-    try:
-        pusher = np.array(check.pusher, dtype=np.float32)
-        context = np.array(check.context, dtype=np.float32)
-        if manifest.context_kind is ContextKind.VISUAL:
-            context = context.reshape(-1, 1, VISUAL_SIZE, VISUAL_SIZE)
-        index = np.array(check.context_index, dtype=np.int64)
-        found = np.stack(predictor.predict(pusher, context, index))
-        expected = np.array([check.mean, check.std], dtype=np.float32)
-    except (ValueError, CazslError) as error:
-        raise BrokenModelError("self-check: the stored input cannot be run") from error
-    if found.shape != expected.shape or not np.allclose(found, expected, rtol=0.0, atol=check.tolerance):
-        raise BrokenModelError(f"self-check: the output differs by more than {check.tolerance} from the stored one")

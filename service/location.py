@@ -13,14 +13,17 @@ S3_SCHEME: Final = "s3://"
 
 
 def open_registry(
-    location: str, signatures: Signatures | None = None, max_model_bytes: int = MAX_MODEL_BYTES
+    location: str,
+    signatures: Signatures | None = None,
+    max_model_bytes: int = MAX_MODEL_BYTES,
+    cache: Path | None = None,
 ) -> Registry:
     """The registry at a location; nothing is read yet.
 
     Raises:
         RegistryError: the location cannot be one, or what it needs is not installed.
     """
-    return Registry(_storage(location), signatures, max_model_bytes)
+    return Registry(_storage(location, cache), signatures, max_model_bytes)
 
 
 def trusted_keys(paths: str) -> Signatures | None:
@@ -45,13 +48,13 @@ def trusted_keys(paths: str) -> Signatures | None:
     return TrustedKeys(keys)
 
 
-def _storage(location: str) -> Path | Storage:
+def _storage(location: str, cache: Path | None) -> Path | Storage:
     if location.startswith(S3_SCHEME):
         try:  # a dependency that only buckets need
             from service.object_store import ObjectStorage
         except ImportError as error:
             raise RegistryError("a registry in a bucket needs the extra 's3': pip install 'cazsl[s3]'") from error
-        return ObjectStorage.at(location)
+        return ObjectStorage.at(location, cache)
     if "://" in location:
         raise RegistryError("a registry is a folder or s3://bucket/prefix")
     return Path(location)

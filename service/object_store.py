@@ -81,14 +81,14 @@ class ObjectStorage:
         self._cache = cache
 
     @classmethod
-    def at(cls, location: str) -> Self:
-        """The storage at ``s3://bucket/prefix``, with its cache in CAZSL_CACHE or the user's cache folder.
+    def at(cls, location: str, cache: Path | None = None) -> Self:
+        """The storage at ``s3://bucket/prefix``, with its cache in this folder, CAZSL_CACHE or the user's own.
 
         Raises:
             RegistryError: the location or the environment cannot be one.
         """
         bucket = Bucket.at(location)
-        base = Path(os.environ.get("CAZSL_CACHE") or Path.home() / ".cache" / "cazsl")
+        base = cache or Path(os.environ.get("CAZSL_CACHE") or Path.home() / ".cache" / "cazsl")
         return cls(bucket, Cache(base / FileDigest.of(bucket.address.encode()).sha256[:32]))
 
     def models(self) -> list[str]:

@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.config import JsonDict
 
 import service
-from service.access import respond, snapshot_of, workers_of
+from service.access import readiness_of, respond, snapshot_of, workers_of
 from service.errors import ModelNotReadyError
 from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer, inflate, parse_reference
 from service.manifest import Tensor
@@ -178,10 +178,10 @@ async def live() -> ServerLiveBody:
 
 @health.get("/v2/health/ready", summary="Can any model be asked?", responses=_errors(503))
 async def ready(request: Request) -> ServerReadyBody:
-    """200 once a model passed all its checks, else 503."""
-    models = snapshot_of(request)
-    if not models.models:
-        raise ModelNotReadyError("no model is loaded")
+    """200 while a model that passed all its checks answers, else 503."""
+    reason = readiness_of(request).reason()
+    if reason is not None:
+        raise ModelNotReadyError(reason)
     return ServerReadyBody(live=True, ready=True)
 
 
@@ -205,7 +205,7 @@ async def version_metadata(request: Request, name: Name, version: Version) -> Mo
 
 @router.get("/v2/models/{name}/ready", summary="Can this model be asked?", responses=_errors(400, 404, 503))
 async def model_ready(request: Request, name: Name) -> ModelReadyBody:
-    """200 when its champion is loaded and passed its checks."""
+    """200 when its champion is loaded, passed its checks and answers."""
     return _ready(request, name, None)
 
 
@@ -213,7 +213,7 @@ async def model_ready(request: Request, name: Name) -> ModelReadyBody:
     "/v2/models/{name}/versions/{version}/ready", summary="Can this version be asked?", responses=_errors(400, 404, 503)
 )
 async def version_ready(request: Request, name: Name, version: Version) -> ModelReadyBody:
-    """200 when it is loaded and passed its checks; a version that is not served is not there."""
+    """200 when it is loaded, passed its checks and answers; a version that is not served is not there."""
     return _ready(request, name, version)
 
 
@@ -253,7 +253,11 @@ def _metadata(request: Request, name: str, version: str | None) -> ModelMetadata
 
 
 def _ready(request: Request, name: str, version: str | None) -> ModelReadyBody:
-    return ModelReadyBody(name=snapshot_of(request).find(parse_reference(name, version)).manifest.name)
+    manifest = snapshot_of(request).find(parse_reference(name, version)).manifest
+    reason = readiness_of(request).reason_against(manifest.name, manifest.version)
+    if reason is not None:
+        raise ModelNotReadyError(f"{manifest.name}@{manifest.version}: {reason}")
+    return ModelReadyBody(name=manifest.name)
 
 
 async def _ask(request: Request, name: str, version: str | None) -> Response:

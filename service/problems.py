@@ -73,6 +73,7 @@ def _render(
     faults: Sequence[FieldFault],
     headers: Mapping[str, str] | None,
 ) -> Response:
+    scope.setdefault("state", {})["refusal"] = code
     if scope["path"].startswith("/v2"):
         if status == HTTPStatus.UNPROCESSABLE_ENTITY:
             status = HTTPStatus.BAD_REQUEST  # the protocol knows no other for a request that is not in order

@@ -9,7 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 from pydantic import ValidationError
 
-from service.access import may_predict, respond, snapshot_of, takes_json, workers_of
+from service.access import may_predict, readiness_of, respond, snapshot_of, takes_json, workers_of
 from service.catalogue import model_body, models_body, version_body
 from service.errors import MalformedBodyError, UnsupportedMediaTypeError
 from service.loaded_models import Snapshot
@@ -20,6 +20,7 @@ from service.schemas import (
     BatchResponse,
     LiveBody,
     ModelBody,
+    ModelCheckBody,
     ModelsBody,
     ModelVersionDetailBody,
     PredictResponse,
@@ -204,15 +205,20 @@ async def live() -> LiveBody:
     "/readyz",
     tags=["health"],
     summary="Can predictions be answered?",
-    responses={503: {"description": "no model is served", "model": ReadyBody}},
+    responses={503: {"description": "not now; the body says why", "model": ReadyBody}},
 )
 async def ready(request: Request, response: Response) -> ReadyBody:
-    """Ready once a model passed all its checks; a broken newcomer is named here and does not end it."""
-    models = snapshot_of(request)
-    response.status_code = 200 if models.models else 503
+    """Ready while a model that passed all its checks answers; a broken newcomer is named here and does not end it."""
+    models, readiness = snapshot_of(request), readiness_of(request)
+    reason = readiness.reason()
+    response.status_code = 200 if reason is None else 503
+    checks = [
+        ModelCheckBody(name=check.name, version=check.version, ready=check.ready, reason=check.reason)
+        for check in readiness.checks()
+    ]
     names = sorted({name for name, _ in models.models})
     served = {name: models.versions(name) for name in names}
-    return ReadyBody(ready=bool(models.models), models=served, problems=list(models.problems))
+    return ReadyBody(ready=reason is None, reason=reason, checks=checks, models=served, problems=list(models.problems))
 
 
 async def _upload(request: Request) -> Upload:

@@ -1,20 +1,25 @@
-"""What the operator decides, from the environment: every setting is ``CAZSL_<NAME>``, with a default that works."""
+"""What the operator decides: every setting is ``CAZSL_<NAME>`` in the environment, with a default that works."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import Field
 from pydantic_settings import BaseSettings, SettingsConfigDict
+
+PREFIX: Final = "CAZSL_"
 
 
 class Settings(BaseSettings):
     """Settings of the service; built by the command line, never at import."""
 
-    model_config = SettingsConfigDict(env_prefix="CAZSL_", frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="forbid")
 
     host: Annotated[str, Field(description="address to listen on; loopback unless told otherwise")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535, description="port to listen on; 0 picks a free one")] = 8000
     registry: Annotated[str, Field(description="the folder of models, or s3://bucket/prefix")] = "models"
+    cache: Annotated[
+        Path | None, Field(description="where copies of a bucket's models are kept; without it ~/.cache/cazsl")
+    ] = None
     require_signature: Annotated[
         str, Field(description="public keys (PEM files, separated as in PATH) of which one must have signed a version")
     ] = ""
@@ -54,6 +59,17 @@ class Settings(BaseSettings):
     keys: Annotated[
         Path | None, Field(description="the file of API keys, re-read when it changes; without it no key is needed")
     ] = None
+    probe_interval_s: Annotated[
+        float, Field(gt=0, le=3600, description="how often every model is asked for its self-check, in s")
+    ] = 10.0
+    metrics_port: Annotated[
+        int | None,
+        Field(ge=0, le=65535, description="a port of its own for /metrics, without keys; without it the service's own"),
+    ] = None
+    drain_s: Annotated[
+        float,
+        Field(ge=0, le=3600, description="how long to go on serving after SIGTERM, not ready, before closing, in s"),
+    ] = 0.0
     grace_s: Annotated[
         int, Field(ge=0, le=3600, description="how long running requests may take after SIGTERM, in s")
     ] = 20

@@ -1,4 +1,7 @@
-"""Logs as JSON lines, and a request id on every request: taken from ``X-Request-ID`` or made, returned, logged."""
+"""Logs as JSON lines, and a request id on every request: taken from ``X-Request-ID`` or made, returned, logged.
+
+The trace that a caller is in (W3C Trace Context, header ``traceparent``) is logged too, when it is one.
+"""
 
 import asyncio
 import itertools
@@ -7,23 +10,30 @@ import re
 import sys
 import time
 import uuid
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
 from logging.config import dictConfig
-from typing import Final, TextIO
+from typing import Any, Final, Protocol, TextIO, get_args
 
 import orjson
 from pythonjsonlogger.core import RESERVED_ATTRS
 from pythonjsonlogger.json import JsonFormatter
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.stopwatch import Part, Parts, listen
+
 _ID_HEADER: Final = b"x-request-id"
+_TRACE_HEADER: Final = b"traceparent"
+_TRACE = re.compile(rb"(?!ff)[0-9a-f]{2}-(?!0{32})([0-9a-f]{32})-(?!0{16})([0-9a-f]{16})-[0-9a-f]{2}(?:-.*)?")
+_TRACE_LENGTH: Final = 55
 _SAFE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
 _HEAD: Final = {"level": "INFO", "logger": __name__, "message": "request"}
 _ORJSON: Final = orjson.OPT_UTC_Z
 _FLUSH_S: Final = 0.2
 _FLUSH_LINES: Final = 512
-_QUIET_ROUTES: Final = frozenset({"/livez", "/readyz"})
+_QUIET_ROUTES: Final = frozenset({"/livez", "/readyz", "/metrics"})
+_PART_FIELDS: Final[Mapping[Part, str]] = {part: f"{part}_ms" for part in get_args(Part)}
+_NOTHING: Final[Mapping[str, Any]] = {}
 
 logger = logging.getLogger(__name__)
 InternalError = Callable[[Scope, Receive, Send], Awaitable[None]]
@@ -85,12 +95,25 @@ def request_id_of(scope: Scope) -> str:
     return str(scope.get("state", {}).get("request_id", ""))
 
 
-class RequestTelemetry:
-    """The outermost ring: an id and a log line for every request, and a 500 for what nobody expected."""
+class RequestObserver(Protocol):
+    """Whoever counts requests."""
 
-    def __init__(self, app: ASGIApp, internal_error: InternalError, log: RequestLog) -> None:
+    def note(self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Parts) -> None:
+        """A request was answered, or its client left: what the log says of its model, and what its parts took."""
+        ...
+
+    def refuse(self, reason: str) -> None:
+        """It was answered by a problem of this code."""
+        ...
+
+
+class RequestTelemetry:
+    """The outermost ring: an id, a log line and a count for every request, and a 500 for what nobody expected."""
+
+    def __init__(self, app: ASGIApp, internal_error: InternalError, log: RequestLog, observer: RequestObserver) -> None:
         self.app = app
         self.log = log
+        self._observer = observer
         self._internal_error = internal_error
         self._process = uuid.uuid4().hex[:20]
         self._count = itertools.count()
@@ -104,6 +127,8 @@ class RequestTelemetry:
         request_id = self._id_of(scope)
         state = scope.setdefault("state", {})
         state["request_id"] = request_id
+        parts: Parts = []
+        listen(parts)
         header = (_ID_HEADER, request_id.encode())
         status = 0
 
@@ -122,7 +147,7 @@ class RequestTelemetry:
                 raise
             await self._internal_error(scope, receive, send_with_id)
         finally:
-            self._note(scope, status, (time.perf_counter() - started) * 1000.0, request_id)
+            self._note(scope, status, time.perf_counter() - started, parts)
 
     def _id_of(self, scope: Scope) -> str:
         """The caller's id when it is safe to log, else one of our own: random for the process, counted within it."""
@@ -131,17 +156,36 @@ class RequestTelemetry:
                 return str(value, "ascii")
         return f"{self._process}{next(self._count):012x}"
 
-    def _note(self, scope: Scope, status: int, duration_ms: float, request_id: str) -> None:
-        noted = scope["state"].get("log", {})
+    def _note(self, scope: Scope, status: int, duration_s: float, parts: Parts) -> None:
+        state = scope["state"]
+        noted = state.get("log", _NOTHING)
         template = noted.get("route") or str(getattr(scope.get("route"), "path", "unknown"))
+        refusal = state.get("refusal")
+        self._observer.note(template, status, duration_s, noted, parts)
+        if refusal is not None:
+            self._observer.refuse(refusal)
         if not logger.isEnabledFor(logging.DEBUG if template in _QUIET_ROUTES else logging.INFO):
             return
-        line = {
+        line: dict[str, Any] = {
             "time": datetime.now(UTC),
-            "request_id": request_id,
+            "request_id": state["request_id"],
             "method": scope["method"],
             "route": template,
             "status": status,
-            "duration_ms": round(duration_ms, 3),
+            "duration_ms": round(duration_s * 1000.0, 3),
         }
-        self.log.add(line | noted)
+        for part, seconds in parts:
+            name = _PART_FIELDS[part]
+            line[name] = round(line.get(name, 0.0) + seconds * 1000.0, 3)
+        if refusal is not None:
+            line["code"] = refusal
+        self.log.add(line | _trace_of(scope) | noted)
+
+
+def _trace_of(scope: Scope) -> dict[str, str]:
+    """The trace and the span of the caller, as OpenTelemetry names them in logs; nothing when there is none."""
+    for name, value in scope["headers"]:
+        found = _TRACE.fullmatch(value) if name == _TRACE_HEADER else None
+        if found and (len(value) == _TRACE_LENGTH or not value.startswith(b"00")):  # only later versions say more
+            return {"trace_id": found[1].decode(), "span_id": found[2].decode()}
+    return {}

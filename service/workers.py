@@ -6,15 +6,18 @@ than the deadline is told so, and dropped if it has not begun.
 """
 
 import asyncio
+import contextvars
 import math
 import os
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from service.errors import DeadlineError, OverloadedError
+from service.stopwatch import took
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -25,11 +28,11 @@ class Workers:
     """A bounded pool of threads with a deadline."""
 
     def __init__(self, threads: int, max_waiting: int, deadline_s: float) -> None:
-        self._threads = threads
+        self.threads = threads
         self._pool: ThreadPoolExecutor | None = None
         self._most = threads + max_waiting
         self._deadline_s = deadline_s
-        self._busy = 0
+        self.jobs = 0  # in threads or waiting for one
         self._counting = threading.Lock()
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -39,11 +42,17 @@ class Workers:
             OverloadedError: the queue is full.
             DeadlineError: it took longer than a request may.
         """
-        if self._busy >= self._most:
+        if self.jobs >= self._most:
             raise OverloadedError(f"{self._most} requests of work for its threads")
         if self._pool is None:
-            self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="worker")
-        future = self._pool.submit(function, *args, **kwargs)
+            self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="worker")
+        asked = time.perf_counter()
+
+        def work() -> T:
+            took("queue", time.perf_counter() - asked)
+            return function(*args, **kwargs)
+
+        future = self._pool.submit(contextvars.copy_context().run, work)
         self._count(+1)
         # when its thread is free, which may be long after its caller has left
         future.add_done_callback(lambda _: self._count(-1))
@@ -55,7 +64,7 @@ class Workers:
     def _count(self, change: int) -> None:
         """Called from the loop's thread and from the pool's."""
         with self._counting:
-            self._busy += change
+            self.jobs += change
 
     def close(self) -> None:
         """Drop what has not begun, and the threads; whoever runs something after that gets new ones."""

@@ -19,6 +19,7 @@ from service.fast_path import FastPath
 from service.intake import Intake, IntakeLimits
 from service.keys import Keys
 from service.loaded_models import LoadedModels
+from service.metrics import RequestMetrics
 from service.registry import Registry
 from service.settings import Settings
 from service.telemetry import RequestLog, RequestTelemetry
@@ -56,7 +57,9 @@ def short_only(served: Served) -> Iterator[TestClient]:
     workers = Workers(1, 8, 10.0)
     fast_path = FastPath(PlainTextResponse("the long way", 418), served[1], workers, Keys(None))
     intake = Intake(fast_path, IntakeLimits(1 << 20, 10.0, 8, 0, 1 << 24))
-    yield TestClient(RequestTelemetry(intake, PlainTextResponse("internal", 500), RequestLog()))
+    yield TestClient(
+        RequestTelemetry(intake, PlainTextResponse("internal", 500), RequestLog(), RequestMetrics(lambda *_: True))
+    )
     workers.close()
 
 
