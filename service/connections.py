@@ -14,6 +14,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 from service.problems import MEDIA_TYPE, problem_body
 
 MAX_HEAD_BYTES: Final = 64 * 1024
+LINGER_S: Final = 0.25  # a request that was sent before its client saw the end is here by then
 
 
 class BoundedConnection(HttpToolsProtocol):
@@ -59,6 +60,13 @@ class BoundedConnection(HttpToolsProtocol):
         self._head_bytes = 0
         self._waits_since = self.loop.time()
         super().on_response_complete()
+
+    def shutdown(self) -> None:
+        """The doors are closed; what is on its way on an open connection is still answered, as the last on it."""
+        if self.cycle is None or self.cycle.response_complete:
+            self.loop.call_later(LINGER_S, super().shutdown)
+        else:
+            super().shutdown()
 
     def send_400_response(self, msg: str) -> None:
         """Answer what is no HTTP."""

@@ -1,22 +1,24 @@
 """What Prometheus reads: how many, how long, how sure we are that models answer.
 
-Counting happens in the event loop only and costs a fraction of a microsecond: a request finds its series by one look
-into a dictionary. Everything else is done when somebody reads. Labels are templates of routes, codes of problems, and
+Counting happens in the event loop only and costs about a microsecond: a request finds its series by one look into a
+dictionary. Everything else is done when somebody reads. Labels are templates of routes, codes of problems, and
 names and versions of models that are served; series of versions that are served no more are dropped, so that a
 registry that changes for years does not grow them. A process has its own metrics: replicas are summed by Prometheus.
 """
 
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import accumulate
+from threading import Lock
 from typing import Any, Final
 
+import numpy as np
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
+
+from service.stopwatch import Part, Parts
 
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 # A single push takes 0.1 ms, ten thousand of them with images take seconds.
@@ -26,28 +28,44 @@ SECONDS: Final = (
 )
 INFERENCE_SECONDS: Final = (0.00001, 0.000025, 0.00005, *SECONDS[:-3])
 ROWS: Final = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0, 10_000.0)
+_FOLD: Final = 1024
 MODEL_LABELS: Final = ("route", "model", "version")
 
 
 class Distribution:
-    """Counts of values by bound, and their sum: what a histogram of Prometheus is made of."""
+    """Counts of values by bound, and their sum: what a histogram of Prometheus is made of.
 
-    __slots__ = ("bounds", "counts", "total")
+    Values are appended to ``recent``, and sorted into their buckets many at a time: one by one costs more.
+    """
+
+    __slots__ = ("_bounds", "_counts", "_total", "recent")
 
     def __init__(self, bounds: Sequence[float]) -> None:
-        self.bounds = bounds
-        self.counts = [0] * (len(bounds) + 1)
-        self.total = 0.0
+        self.recent: list[float] = []
+        self._bounds = bounds
+        self._counts = np.zeros(len(bounds) + 1, dtype=np.int64)
+        self._total = 0.0
 
-    def observe(self, value: float) -> None:
-        """Count a value."""
-        self.counts[bisect_left(self.bounds, value)] += 1
-        self.total += value
+    def fold(self) -> None:
+        """Sort what is recent into buckets; one thread at a time, others may append meanwhile."""
+        count = len(self.recent)
+        if not count:
+            return
+        values = np.array(self.recent[:count])
+        del self.recent[:count]
+        places = np.searchsorted(self._bounds, values)  # the first bound that is not below
+        self._counts += np.bincount(places, minlength=len(self._counts))
+        self._total += float(values.sum())
+
+    @property
+    def total(self) -> float:
+        """The sum of what was folded."""
+        return self._total
 
     def buckets(self) -> list[tuple[str, float]]:
-        """Upper bounds and how many values were no greater, as Prometheus has them."""
-        names = (*map(repr, self.bounds), "+Inf")
-        return list(zip(names, map(float, accumulate(self.counts)), strict=True))
+        """Upper bounds and how many of what was folded were no greater, as Prometheus has them."""
+        names = (*map(repr, self._bounds), "+Inf")
+        return list(zip(names, self._counts.cumsum().astype(float).tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +77,11 @@ class Served:
     rows: Distribution = field(default_factory=lambda: Distribution(ROWS))
     statuses: Counter[int] = field(default_factory=Counter)
 
+    def fold(self) -> None:
+        """Sort what is recent into buckets."""
+        for distribution in (self.duration_s, self.inference_s, self.rows):
+            distribution.fold()
+
 
 class RequestMetrics(Collector):
     """Every request: its route, its model, its time and that of its parts."""
@@ -67,30 +90,28 @@ class RequestMetrics(Collector):
         self._is_served = is_served
         self._series: dict[tuple[str, str, int], Served] = {}
         self._statuses: Counter[tuple[str, int]] = Counter()  # of series that were dropped: a counter never falls
-        self._queue_wait_s = Distribution(SECONDS)
-        self._decode_s = Distribution(SECONDS)
+        self._waits: dict[Part, Distribution] = {"queue": Distribution(SECONDS), "decode": Distribution(SECONDS)}
+        self._folding = Lock()
         self._refusals: Counter[str] = Counter()
 
-    def note(
-        self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Iterable[tuple[str, float]]
-    ) -> None:
+    def note(self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Parts) -> None:
         """Count a request: what it took, what the log says of its model, and (name, seconds) of its parts."""
-        key = (route, noted.get("model", ""), noted.get("version", 0))
+        key = (route, noted["model"], noted["version"]) if noted else (route, "", 0)
         series = self._series.get(key)
         if series is None:
             series = self._series[key] = Served()
         series.statuses[status] += 1
-        series.duration_s.observe(duration_s)
-        pushes = noted.get("pushes")
-        if pushes is not None:
-            series.rows.observe(pushes)
+        durations = series.duration_s.recent
+        durations.append(duration_s)
+        if noted:
+            series.rows.recent.append(noted["pushes"])
         for name, seconds in parts:
             if name == "inference":
-                series.inference_s.observe(seconds)
-            elif name == "queue":
-                self._queue_wait_s.observe(seconds)
-            elif name == "decode":
-                self._decode_s.observe(seconds)
+                series.inference_s.recent.append(seconds)
+            else:
+                self._waits[name].recent.append(seconds)
+        if len(durations) >= _FOLD:
+            self._fold()
 
     def refuse(self, reason: str) -> None:
         """Count a request that was answered by a problem of this code."""
@@ -98,6 +119,7 @@ class RequestMetrics(Collector):
 
     def collect(self) -> Iterator[Metric]:
         """The families, as they are now."""
+        self._fold()
         self._drop_released()
         series = [((route, model, str(version or "")), found) for (route, model, version), found in self._items()]
         statuses = Counter(self._statuses)
@@ -111,7 +133,7 @@ class RequestMetrics(Collector):
         )
         yield _histogram(
             "cazsl_request_duration_seconds",
-            "From the head of a request to the last byte of its answer.",
+            "From the head of a request to the end of its answer; the body it waits for included.",
             MODEL_LABELS,
             ((labels, found.duration_s) for labels, found in series),
         )
@@ -132,15 +154,22 @@ class RequestMetrics(Collector):
             "cazsl_queue_wait_seconds",
             "How long large batches and images waited for a thread.",
             (),
-            [((), self._queue_wait_s)],
+            [((), self._waits["queue"])],
         )
-        yield _histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._decode_s)])
+        yield _histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._waits["decode"])])
         yield _counter(
             "cazsl_refusals",
             "Requests answered by a problem, by its code.",
             ("reason",),
             (((reason,), count) for reason, count in list(self._refusals.items())),
         )
+
+    def _fold(self) -> None:
+        with self._folding:  # from the event loop, or the thread of somebody who reads
+            for wait in self._waits.values():
+                wait.fold()
+            for _, found in self._items():
+                found.fold()
 
     def _items(self) -> list[tuple[tuple[str, str, int], Served]]:
         return list(self._series.items())  # in one go: whoever reads may do so in a thread

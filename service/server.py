@@ -5,7 +5,10 @@ serving (``drain_s``); whoever routes to it has that long to notice. Then it clo
 (``grace_s``), and ends. A second SIGTERM, or Ctrl-C, skips the first part.
 """
 
+import asyncio
+import os
 import signal
+import socket
 import time
 from collections.abc import Callable
 from types import FrameType
@@ -13,6 +16,7 @@ from typing import Final
 
 import uvicorn
 
+_QUEUE_S: Final = 0.05
 _LEAVE: Final = (b"connection", b"close")
 
 
@@ -40,3 +44,12 @@ class DrainingServer(uvicorn.Server):
         if self._closes_at is not None and time.monotonic() >= self._closes_at:
             self.should_exit = True
         return await super().on_tick(counter)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Close the doors; whoever stands in the queue before them is let in first, instead of being cut off."""
+        for server in self.servers:
+            for listening in server.sockets:
+                with socket.socket(fileno=os.dup(listening.fileno())) as same:
+                    same.listen(0)  # from now on the kernel admits nobody: clients try again, and are refused
+        await asyncio.sleep(_QUEUE_S)
+        await super().shutdown(sockets)

@@ -7,12 +7,14 @@
 
 import functools
 import json
+import os
 import sys
 from collections.abc import Callable
 from typing import Any, Final, ParamSpec
 
 import click
 
+from service.configuration import CONFIG_NAME, configure
 from service.errors import CazslError, ConflictError, InUseError, UnknownModelError
 
 P = ParamSpec("P")
@@ -20,11 +22,20 @@ FAILED: Final = 1
 REFUSED: Final = 3
 _STATUSES: Final = ((ConflictError, 4), (InUseError, 4), (UnknownModelError, 5), (CazslError, FAILED))
 
+
+def _registry() -> str:
+    """The registry of the file of settings, for who gives neither option nor CAZSL_REGISTRY."""
+    try:
+        return configure({}).settings.registry if os.environ.get(CONFIG_NAME) else "models"
+    except CazslError as error:
+        raise click.ClickException(str(error)) from error
+
+
 registry_option = click.option(
     "--registry",
     envvar="CAZSL_REGISTRY",
-    default="models",
-    show_default=True,
+    default=_registry,
+    show_default="models",
     help="The folder of models, or s3://bucket/prefix.",
 )
 json_option = click.option("--json", "as_json", is_flag=True, help="One JSON document instead of text.")

@@ -23,9 +23,11 @@ def vitals(models: LoadedModels, readiness: Readiness, workers: Workers, intake:
 def _of_the_process(readiness: Readiness, workers: Workers, intake: Intake) -> tuple[Reading, ...]:
     build = (service.__version__, platform.python_version())
     return (
-        Reading("cazsl_build_info", "What runs.", ("version", "python"), lambda: [(build, 1)]),
+        Reading("cazsl_build_info", "Always 1; its labels say what runs.", ("version", "python"), lambda: [(build, 1)]),
         Reading("cazsl_ready", "Whether /readyz says so.", (), lambda: _one(readiness.is_ready())),
-        Reading("cazsl_draining", "Whether SIGTERM has come.", (), lambda: _one(readiness.draining)),
+        Reading(
+            "cazsl_draining", "Whether SIGTERM has come: serving on, not ready.", (), lambda: _one(readiness.draining)
+        ),
         Reading("cazsl_requests_in_flight", "Requests being answered.", (), lambda: _one(intake.in_flight)),
         Reading("cazsl_request_bytes_held", "Bytes of bodies held.", (), lambda: _one(intake.held_bytes)),
         Reading("cazsl_worker_jobs", "Large batches and images in threads or waiting.", (), lambda: _one(workers.jobs)),
@@ -88,7 +90,9 @@ def _of_models(models: LoadedModels, readiness: Readiness) -> tuple[Reading, ...
 
 def _of_looking(models: LoadedModels) -> tuple[Reading, ...]:
     return (
-        Reading("cazsl_registry_up", "Whether the last look saw it.", (), lambda: _one(models.tally.registry_up)),
+        Reading(
+            "cazsl_registry_up", "Whether the last look saw the registry.", (), lambda: _one(models.tally.registry_up)
+        ),
         Reading(
             "cazsl_registry_problems", "Problems that /readyz lists.", (), lambda: _one(len(models.snapshot.problems))
         ),

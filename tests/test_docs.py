@@ -74,14 +74,14 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
 
 
 def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
-    """With its status; errors of the registry and of data never leave as such."""
+    """With its status; errors of the registry, of data and of settings never leave as such."""
     table = {
         (int(status), code)
         for status, codes in re.findall(r"^\| (\d{3}) \| (.*?) \|", PAGE, re.MULTILINE)
         for code in re.findall(r"`(\w+)`", codes)
     }
     known = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, errors.CazslError)]
-    inner = {errors.RequestError, errors.UnavailableError, errors.DataError}
+    inner = {errors.RequestError, errors.UnavailableError, errors.DataError, errors.SettingsError}
     for kind in known:
         if kind not in inner and not issubclass(kind, errors.RegistryError):
             assert (int(kind.status), kind.code) in table, kind

@@ -189,3 +189,117 @@ def accepts(port: int) -> bool:
     except OSError:
         return False
     return True
+
+
+def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refused(
+    project_root: Path, tmp_path: Path
+) -> None:
+    """Two instances over one registry are ended in turn while four clients ask: every request taken is answered.
+
+    Clients keep their connections as long as the service lets them, and try the other instance only when a connection
+    is refused: a request that was sent is never sent again. benchmarks/drain.py does the same with nginx and wrk.
+    """
+    shutil.copytree(project_root / "models", tmp_path / "models")
+    ports = [free_port(), free_port()]
+    processes: dict[int, subprocess.Popen[bytes]] = {}
+
+    def start(port: int) -> None:
+        environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(tmp_path / "models"), "CAZSL_DRAIN_S": "0.3"}
+        with (tmp_path / "log").open("a") as log:
+            processes[port] = subprocess.Popen(
+                [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+                cwd=project_root,
+                env={**os.environ, **environment},
+                stderr=log,
+            )
+        wait_until(lambda: ready(port))
+
+    stop, failures, answered = threading.Event(), list[object](), [0]
+
+    def hammer() -> None:
+        connection = None
+        while not stop.is_set():
+            try:
+                connection = connection or connected(ports)
+                connection.request("POST", "/v1/predict", BODY, JSON)
+                response = connection.getresponse()
+                body = response.read()
+            except OSError as error:
+                failures.append(error)
+                return
+            if response.status != 200:
+                failures.append(body)
+            answered[0] += 1
+            if connection.sock is None:  # the service asked to leave
+                connection = None
+        if connection is not None:
+            connection.close()
+
+    for port in ports:
+        start(port)
+    clients = [threading.Thread(target=hammer) for _ in range(4)]
+    try:
+        for client in clients:
+            client.start()
+        for number in range(4):
+            port = ports[number % 2]
+            processes[port].terminate()
+            assert processes[port].wait(PATIENCE_S) == 0
+            start(port)
+    finally:
+        stop.set()
+        for client in clients:
+            client.join()
+        for process in processes.values():
+            process.kill()
+            process.wait()
+    assert failures == []
+    assert answered[0] > 0
+
+
+def connected(ports: list[int]) -> http.client.HTTPConnection:
+    """A connection to whoever takes it."""
+    while True:
+        for port in ports:
+            connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+            try:
+                connection.connect()
+            except ConnectionRefusedError:
+                connection.close()
+                continue
+            return connection
+
+
+def ready(port: int) -> bool:
+    """Whether an instance says so."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    try:
+        connection.request("GET", "/readyz")
+        return connection.getresponse().status == 200
+    except OSError:
+        return False
+    finally:
+        connection.close()
+
+
+def test_metrics_have_a_port_of_their_own_when_asked(project_root: Path, tmp_path: Path) -> None:
+    """What Prometheus reads there, and nothing of the service."""
+    port, metrics_port = free_port(), free_port()
+    environment = {"CAZSL_PORT": str(port), "CAZSL_METRICS_PORT": str(metrics_port), "CAZSL_LOG_LEVEL": "WARNING"}
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+        cwd=project_root,
+        env={**os.environ, **environment},
+    )
+    try:
+        wait_until(lambda: ready(port))
+        connection = http.client.HTTPConnection("127.0.0.1", metrics_port, timeout=PATIENCE_S)
+        connection.request("GET", "/metrics")
+        text = connection.getresponse().read().decode()
+        connection.close()
+        assert "\ncazsl_ready 1.0\n" in text
+        process.terminate()
+        assert process.wait(PATIENCE_S) == 0
+    finally:
+        process.kill()
+        process.wait()

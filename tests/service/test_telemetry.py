@@ -84,6 +84,39 @@ def test_a_request_leaves_one_line_with_its_model(logged: TestClient, written: i
     }
 
 
+TRACE, SPAN = "4bf92f3577b34da6a3ce929d0e0e4736", "00f067aa0ba902b7"
+
+
+@pytest.mark.parametrize(
+    ("given", "taken"),
+    [
+        (f"00-{TRACE}-{SPAN}-01", True),
+        (f"cc-{TRACE}-{SPAN}-01-what-will-be", True),
+        (f"00-{TRACE}-{SPAN}-01-more", False),
+        (f"ff-{TRACE}-{SPAN}-01", False),
+        (f"00-{'0' * 32}-{SPAN}-01", False),
+        (f"00-{TRACE}-{'0' * 16}-01", False),
+        (f"00-{TRACE.upper()}-{SPAN}-01", False),
+        ("made up", False),
+    ],
+    ids=["this version", "a later one", "too long", "no version", "no trace", "no span", "capitals", "nonsense"],
+)
+def test_the_callers_trace_is_logged_when_it_is_one(
+    logged: TestClient, written: io.StringIO, given: str, taken: bool
+) -> None:
+    """W3C Trace Context, by its own rules; anything else is left out, as the standard wants."""
+    logged.post("/v1/predict", json=BODY, headers={"traceparent": given})
+    (found,) = lines(logged, written)
+    assert (found.get("trace_id"), found.get("span_id")) == ((TRACE, SPAN) if taken else (None, None))
+
+
+def test_a_refusal_is_logged_with_its_code(logged: TestClient, written: io.StringIO) -> None:
+    """The log says why without the body."""
+    logged.post("/v1/predict", json=BODY | {"model": "nobody"})
+    (found,) = lines(logged, written)
+    assert (found["status"], found["code"]) == (404, "unknown_model")
+
+
 def test_a_route_that_does_not_exist_is_logged_without_its_path(logged: TestClient, written: io.StringIO) -> None:
     """Paths come from the network; the log has the route's template only. Health is not logged at all."""
     logged.get("/secret-token-in-a-path")
