@@ -22,9 +22,10 @@ RUN pip --python /opt/cazsl/bin/python install --no-deps . \
  && packages=$(echo /opt/cazsl/lib/python3.*/site-packages) \
  && find "$packages" -depth -type d '(' -name tests -o -path '*/onnx/backend/test' ')' -exec rm -r '{}' + \
  && rm -r "$packages"/onnxruntime/transformers "$packages"/onnxruntime/tools "$packages"/onnxruntime/quantization \
- && python -m compileall -q --invalidation-mode unchecked-hash -s /opt/cazsl -p /opt/cazsl /opt/cazsl/lib
-COPY models /srv/models
-RUN find /opt/cazsl /srv/models -exec touch --no-dereference --date=@0 '{}' +
+ && PYTHONHASHSEED=0 python -m compileall -q -f --invalidation-mode unchecked-hash /opt/cazsl/lib
+COPY models /image/srv/models
+RUN mkdir -p /image/opt && mv /opt/cazsl /image/opt/cazsl \
+ && find /image -exec touch --no-dereference --date=@0 '{}' +
 
 FROM ${PYTHON}
 ARG VERSION=""
@@ -35,8 +36,7 @@ LABEL org.opencontainers.image.title="cazsl" \
       org.opencontainers.image.version="${VERSION}" \
       org.opencontainers.image.revision="${REVISION}" \
       org.opencontainers.image.base.name="docker.io/library/python:3.11-slim"
-COPY --from=build /opt/cazsl /opt/cazsl
-COPY --from=build /srv/models /srv/models
+COPY --from=build /image /
 ENV PATH=/opt/cazsl/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \

@@ -173,6 +173,7 @@ def test_asyncio_has_the_same_answers_many_at_once(
     """Every method, with one client for all tasks."""
 
     async def scenario() -> None:
+        """On one loop."""
         async with AsyncClient(url, key=key[1], timeout_s=PATIENCE_S) as concurrent:
             batches = await asyncio.gather(*(concurrent.predict_batch(PUSHERS, OBJECT) for _ in range(20)))
             assert all((batch.mean == batches[0].mean).all() for batch in batches)
@@ -207,6 +208,7 @@ def concurrent(url: str, **options: Any) -> Any:
     """The same by the other."""
 
     async def ask() -> Any:
+        """On a loop of its own."""
         async with AsyncClient(url, **options) as client:
             return await client.predict([0.0, 0.0, 0.0], OBJECT)
 

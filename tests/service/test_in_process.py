@@ -136,6 +136,7 @@ def test_images_inside_a_running_loop_are_read_too(picture: Path, project_root: 
     """A notebook runs one, and the blocking client is what people use there."""
 
     async def notebook() -> None:
+        """A cell."""
         with Client.local(str(project_root / "models")) as client:
             assert client.make_context(picture).visual
             with pytest.raises(ProblemError, match="unknown_model"):
