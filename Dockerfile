@@ -1,6 +1,6 @@
 # The service and its models: no trainer, no torch, no compiler. Runs as nobody in particular on a read-only root.
 #   make image && docker run --rm --read-only -p 8000:8000 cazsl
-#   docker build --build-arg LOCK=s3 -t cazsl:s3 .           registries in buckets too; LOCK=all: and signed models
+#   docker build --build-arg LOCK=s3 -t cazsl:s3 .           registries in buckets too; LOCK=all: and signed models, traces
 # The same tree gives the same layers: versions are locked, nothing remembers when it was built.
 
 # A release names the base by its digest: --build-arg PYTHON=python:3.11-slim@sha256:...

@@ -63,7 +63,7 @@ openapi: $(VENV)/dev ## renew openapi/openapi.json from the app
 lock: $(VENV)/dev ## renew what the image holds, from pyproject.toml: versions and digests
 	$(call lock,serving,)
 	$(call lock,s3,--extra s3)
-	$(call lock,all,--extra s3 --extra signing)
+	$(call lock,all,--extra s3 --extra signing --extra otel)
 
 image: ## build the image cazsl, with Docker
 	docker build --tag cazsl --build-arg VERSION=$(VERSION) --build-arg REVISION=$$(git rev-parse HEAD) .

@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import gc
 import logging
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Any, Final
 
 from fastapi import Depends, FastAPI
@@ -60,8 +60,16 @@ class Service(FastAPI):
         return open_inference.describe_infer(state_media_type(super().openapi()))
 
 
-def create_app(settings: Settings, models: LoadedModels, log: RequestLog | None = None) -> FastAPI:
-    """The service over these models; the lines of requests go to standard error unless told otherwise."""
+def create_app(
+    settings: Settings,
+    models: LoadedModels,
+    log: RequestLog | None = None,
+    trace: Callable[[ASGIApp], ASGIApp] = lambda app: app,
+) -> FastAPI:
+    """The service over these models; the lines of requests go to standard error unless told otherwise.
+
+    ``trace`` puts a ring around all others, as ``tracing.Tracing`` is one.
+    """
     log = log or RequestLog()
     workers = Workers(processors(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
@@ -112,7 +120,7 @@ def create_app(settings: Settings, models: LoadedModels, log: RequestLog | None 
     requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
     app.state.requests = requests
     app.state.metrics = exposition(requests, vitals(models, readiness, workers, intake))
-    app.rings = RequestTelemetry(intake, _internal_error, log, requests)
+    app.rings = trace(RequestTelemetry(intake, _internal_error, log, requests))
     return app
 
 

@@ -3,12 +3,14 @@
 import json
 import signal
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import click
 import pydantic
 import uvicorn
 from prometheus_client import start_http_server
+from starlette.types import ASGIApp
 
 import service
 import service.changes_cli
@@ -61,7 +63,8 @@ def serve(**options: Any) -> None:
         registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     except CazslError as error:
         raise click.ClickException(str(error)) from error
-    app = create_app(settings, LoadedModels(registry, OnnxPredictor, settings.newest_versions))
+    models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
+    app = create_app(settings, models, trace=_tracing(settings.otlp_endpoint))
     if sys.stdout.isatty():  # a person; whoever collects logs gets JSON lines only
         click.echo(f"serving {settings.registry}; try http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success
@@ -86,6 +89,18 @@ def serve(**options: Any) -> None:
     server.run()
     if not server.started:
         sys.exit(FAILED)
+
+
+def _tracing(endpoint: str) -> Callable[[ASGIApp], ASGIApp]:
+    """The ring that makes spans, where they are wanted."""
+    if not endpoint:
+        return lambda app: app
+    try:  # dependencies that only those pay who want spans
+        from service.tracing import Tracing, exporting
+    except ImportError as error:
+        raise click.ClickException("CAZSL_OTLP_ENDPOINT needs the extra 'otel': pip install 'cazsl[otel]'") from error
+    provider = exporting(endpoint)  # sends what is left at the end of the process
+    return lambda app: Tracing(app, provider)
 
 
 main.add_command(config)

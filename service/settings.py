@@ -73,4 +73,7 @@ class Settings(BaseSettings):
     grace_s: Annotated[
         int, Field(ge=0, le=3600, description="how long running requests may take after SIGTERM, in s")
     ] = 20
+    otlp_endpoint: Annotated[
+        str, Field(description="where spans go (OTLP over HTTP, http://host:4318/v1/traces); none without it")
+    ] = ""
     log_level: Annotated[Literal["DEBUG", "INFO", "WARNING", "ERROR"], Field(description="least level logged")] = "INFO"

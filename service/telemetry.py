@@ -95,6 +95,11 @@ def request_id_of(scope: Scope) -> str:
     return str(scope.get("state", {}).get("request_id", ""))
 
 
+def route_of(scope: Scope) -> str:
+    """The template of the route that answered, never the path that was asked for."""
+    return scope["state"].get("log", _NOTHING).get("route") or str(getattr(scope.get("route"), "path", "unknown"))
+
+
 class RequestObserver(Protocol):
     """Whoever counts requests."""
 
@@ -159,7 +164,7 @@ class RequestTelemetry:
     def _note(self, scope: Scope, status: int, duration_s: float, parts: Parts) -> None:
         state = scope["state"]
         noted = state.get("log", _NOTHING)
-        template = noted.get("route") or str(getattr(scope.get("route"), "path", "unknown"))
+        template = route_of(scope)
         refusal = state.get("refusal")
         self._observer.note(template, status, duration_s, noted, parts)
         if refusal is not None:

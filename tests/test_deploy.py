@@ -290,7 +290,7 @@ def test_the_dashboards_panels_stand_beside_each_other() -> None:
     assert len({panel["id"] for panel in DASHBOARD["panels"]}) == len(DASHBOARD["panels"])
 
 
-@pytest.mark.parametrize(("lock", "extras"), [("serving", ()), ("s3", ("s3",)), ("all", ("s3", "signing"))])
+@pytest.mark.parametrize(("lock", "extras"), [("serving", ()), ("s3", ("s3",)), ("all", ("s3", "signing", "otel"))])
 def test_the_image_holds_versions_that_fit_what_is_declared(lock: str, extras: tuple[str, ...]) -> None:
     """``make lock`` was run after the last change of dependencies; each version has its digests."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]

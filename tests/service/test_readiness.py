@@ -151,7 +151,10 @@ def test_a_registry_that_hangs_delays_no_sign_of_life(tmp_path: Path) -> None:
     released = threading.Event()
 
     class Hanging(Registry):
+        """A registry whose disk does not answer."""
+
         def fingerprint(self) -> object:
+            """When it is allowed to."""
             released.wait()
             return super().fingerprint()
 
