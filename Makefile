@@ -3,8 +3,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := service training tests benchmarks
+VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' service/__init__.py)
+lock = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
+	--custom-compile-command 'make lock' $(2) --output-file deploy/locks/$(1).txt pyproject.toml
 
-.PHONY: help serve data train test fuzz check format openapi clean
+.PHONY: help serve data train test fuzz check format openapi lock image sbom clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -42,12 +45,12 @@ test: $(VENV)/dev ## run all tests
 fuzz: $(VENV)/dev ## 100,000 generated requests; says how many of what were answered how: a minute or two
 	CAZSL_FUZZ_REQUESTS=100000 $(BIN)/pytest -s tests/test_fuzz.py
 
-check: $(VENV)/dev ## format, lint, types, docstrings, import directions, OpenAPI drift, Dockerfile; changes nothing
+check: $(VENV)/dev ## format, lint, types, docstrings, import directions, OpenAPI drift, Dockerfile, deploy/; changes nothing
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/interrogate --quiet service training tests benchmarks
-	$(BIN)/pytest --quiet tests/test_layers.py tests/test_openapi.py
+	$(BIN)/pytest --quiet tests/test_layers.py tests/test_openapi.py tests/test_deploy.py
 	$(BIN)/hadolint Dockerfile
 
 format: $(VENV)/dev ## mend what check finds in format and imports
@@ -56,6 +59,21 @@ format: $(VENV)/dev ## mend what check finds in format and imports
 
 openapi: $(VENV)/dev ## renew openapi/openapi.json from the app
 	$(BIN)/pytest --quiet tests/test_openapi.py --renew-openapi
+
+lock: $(VENV)/dev ## renew what the image holds, from pyproject.toml: versions and digests
+	$(call lock,serving,)
+	$(call lock,s3,--extra s3)
+	$(call lock,all,--extra s3 --extra signing --extra otel)
+
+image: ## build the image cazsl, with Docker
+	docker build --tag cazsl --build-arg VERSION=$(VERSION) --build-arg REVISION=$$(git rev-parse HEAD) .
+
+sbom: $(VENV)/dev ## say what the image holds, as CycloneDX, in build/sbom.json
+	rm -rf build/sbom
+	$(PYTHON) -m venv --without-pip build/sbom
+	$(BIN)/python -m pip --python build/sbom/bin/python install --quiet --require-hashes --requirement deploy/locks/serving.txt
+	$(BIN)/python -m pip --python build/sbom/bin/python install --quiet --no-deps .
+	$(BIN)/cyclonedx-py environment build/sbom --pyproject pyproject.toml --output-reproducible --output-file build/sbom.json
 
 clean: ## remove the virtual environment and caches; data, runs and models stay
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis

@@ -10,8 +10,8 @@ from pydantic import Field
 
 from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
 from service.errors import FieldFault, InvalidRequestError
-from service.images import decode, visual_context
-from service.schemas import Body
+from service.images import decode, quality_flags, thumbnail_png, visual_context
+from service.schemas import Body, VisualContextBody
 
 _INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
@@ -84,6 +84,21 @@ class ContextBody(Body):
 
 
 _FORMS: Final = tuple(ContextBody.model_fields)
+
+
+def describe_image(content: bytes) -> VisualContextBody:
+    """What a model sees of an image file, and what looks wrong in it; blocking: it decodes.
+
+    Raises:
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: as ``images.decode``.
+    """
+    image = decode(content)
+    context = visual_context(image)
+    return VisualContextBody(
+        visual=base64.b64encode(context.levels).decode(),
+        thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
+        flags=[flag.value for flag in quality_flags(image)],
+    )
 
 
 def _decode_base64(text: str, where: str) -> bytes:

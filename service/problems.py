@@ -46,8 +46,7 @@ async def _on_error(request: Request, error: Exception) -> Response:
 
 
 async def _on_validation(request: Request, error: Exception) -> Response:
-    faults = [_fault(found) for found in cast(RequestValidationError, error).errors()[:MAX_FAULTS]]
-    return problem_response(request.scope, InvalidRequestError(faults))
+    return problem_response(request.scope, invalid_request(cast(RequestValidationError, error).errors()))
 
 
 async def _on_http(request: Request, raised: Exception) -> Response:
@@ -97,6 +96,11 @@ def problem_body(
         request_id=request_id,
     )
     return body.model_dump_json().encode()
+
+
+def invalid_request(found: Sequence[Mapping[str, Any]]) -> InvalidRequestError:
+    """What pydantic found, as our error: ten faults at most, and never what was sent."""
+    return InvalidRequestError([_fault(fault) for fault in found[:MAX_FAULTS]])
 
 
 def _fault(found: Mapping[str, Any]) -> FieldFault:

@@ -1,6 +1,5 @@
 """The /v1 endpoints and the health routes: parse, call one function, render."""
 
-import base64
 from collections.abc import Callable, Coroutine
 from typing import Annotated, Any, Final, TypeVar
 
@@ -11,10 +10,10 @@ from fastapi.routing import APIRoute
 from pydantic import ValidationError
 
 from service.access import may_predict, readiness_of, respond, snapshot_of, takes_json, workers_of
+from service.catalogue import model_body, models_body, version_body
 from service.errors import MalformedBodyError, UnsupportedMediaTypeError
-from service.images import decode, quality_flags, thumbnail_png, visual_context
-from service.loaded_models import LoadedModel, Snapshot
-from service.manifest import ModelReference
+from service.loaded_models import Snapshot
+from service.object_bodies import describe_image
 from service.predictions import Answer, is_light, predict_batch, predict_one, predict_upload
 from service.requests import BatchRequest, PredictRequest
 from service.schemas import (
@@ -170,21 +169,19 @@ async def predict_image(request: Request) -> Response:
 async def make_context(request: Request) -> VisualContextBody:
     """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
     upload = await _upload(request)
-    return await workers_of(request).run(_visual_context, upload.image)
+    return await workers_of(request).run(describe_image, upload.image)
 
 
 @router.get("/v1/models", tags=["models"], summary="What is served", responses=_problems(406))
 async def list_models(request: Request) -> ModelsBody:
     """Every model that is served, with its versions and aliases."""
-    models = snapshot_of(request)
-    names = sorted({name for name, _ in models.models})
-    return ModelsBody(models=[_model_body(models, name) for name in names])
+    return models_body(snapshot_of(request))
 
 
 @router.get("/v1/models/{name}", tags=["models"], summary="One model", responses=_problems(404, 406, 422))
 async def show_model(request: Request, name: Name) -> ModelBody:
     """One model, with its versions and aliases."""
-    return _model_body(snapshot_of(request), name)
+    return model_body(snapshot_of(request), name)
 
 
 @router.get(
@@ -195,11 +192,7 @@ async def show_model(request: Request, name: Name) -> ModelBody:
 )
 async def show_version(request: Request, name: Name, version: Version) -> ModelVersionDetailBody:
     """One version with its manifest (data, metrics, tensors with units, digests) and its card."""
-    models = snapshot_of(request)
-    model = models.find(ModelReference(name, None, version))
-    aliases = [alias for alias, target in models.aliases_of(name).items() if target == version]
-    manifest = pydantic_core.from_json(model.manifest.render())
-    return ModelVersionDetailBody(name=name, version=version, aliases=aliases, manifest=manifest, card=model.card)
+    return version_body(snapshot_of(request), name, version)
 
 
 @health.get("/livez", tags=["health"], summary="Does the process answer?")
@@ -234,33 +227,10 @@ async def _upload(request: Request) -> Upload:
     return await workers_of(request).run(read_upload, request.headers, await request.body())
 
 
-def _visual_context(content: bytes) -> VisualContextBody:
-    """Blocking: it decodes."""
-    image = decode(content)
-    context = visual_context(image)
-    return VisualContextBody(
-        visual=base64.b64encode(context.levels).decode(),
-        thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
-        flags=[flag.value for flag in quality_flags(image)],
-    )
-
-
 async def _answer(request: Request, predict: Callable[[Snapshot, P], Answer], body: P) -> Answer:
     """Light work here, since a thread would cost more than it; the rest in a thread."""
     models = snapshot_of(request)
     return predict(models, body) if is_light(body) else await workers_of(request).run(predict, models, body)
-
-
-def _model_body(models: Snapshot, name: str) -> ModelBody:
-    versions = models.versions(name)
-    newest: LoadedModel = models.models[name, versions[-1]]
-    return ModelBody(
-        name=name,
-        method=newest.manifest.method,
-        context_kind=newest.manifest.context_kind,
-        versions=versions,
-        aliases=models.aliases_of(name),
-    )
 
 
 def _is_json(content_type: str) -> bool:

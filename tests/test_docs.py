@@ -1,4 +1,4 @@
-"""Every line of code in docs/api.md is run, in the order of the page, against a real service."""
+"""Every line of code in docs/api.md and docs/client.md is run, in the order of the page, against a real service."""
 
 import re
 import subprocess
@@ -15,6 +15,10 @@ from tests.serving import ROOT, serve
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+CLIENT_BLOCKS = re.findall(
+    r"^```python\n(.*?)^```$", (ROOT / "docs" / "client.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+)
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +60,17 @@ def test_every_line_of_python_runs(port: int, folder: Path) -> None:
     printed = run([sys.executable, "-"], "\n".join(blocks).replace("localhost:8000", f"127.0.0.1:{port}"), folder)
     assert "turns the object least" in printed
     assert (folder / "seen.png").exists()
+
+
+def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
+    """As one program, in a folder that holds the models that ship."""
+    assert len(CLIENT_BLOCKS) == 10
+    (folder / "models").symlink_to(ROOT / "models")
+    code = "\n".join(CLIENT_BLOCKS).replace("localhost:8000", f"127.0.0.1:{port}")
+    command = [sys.executable, "-W", "error", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{code}"]
+    printed = run(command, "", folder)
+    assert "422 invalid_request body.pusher.x" in printed
+    assert "world" in printed
 
 
 def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:

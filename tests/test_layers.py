@@ -41,6 +41,7 @@ SERVICE: dict[str, set[str]] = {
     "readiness": {"errors", "loaded_models", "self_check"},
     "schemas": set(),
     "object_bodies": {"errors", "contract", "images", "schemas"},
+    "catalogue": {"loaded_models", "manifest", "schemas"},
     "requests": {"errors", "contract", "frames", "manifest", "object_bodies", "schemas"},
     "uploads": {"errors"},
     "predictions": {"errors", "contract", "frames", "images", "loaded_models", "object_bodies", "requests", "uploads"},
@@ -56,10 +57,10 @@ SERVICE: dict[str, set[str]] = {
     "access": {"errors", "keys", "loaded_models", "predictions", "readiness", "workers"},
     "routes": {
         "access",
+        "catalogue",
         "errors",
-        "images",
         "loaded_models",
-        "manifest",
+        "object_bodies",
         "predictions",
         "requests",
         "schemas",
@@ -89,6 +90,33 @@ SERVICE: dict[str, set[str]] = {
         "telemetry",
         "vitals",
         "workers",
+    },
+    "in_process": {
+        "catalogue",
+        "errors",
+        "loaded_models",
+        "location",
+        "object_bodies",
+        "predictions",
+        "predictor",
+        "problems",
+        "requests",
+        "uploads",
+    },
+    "client_errors": {"errors"},
+    "retries": set(),
+    "calls": {"client_errors", "errors", "object_bodies", "schemas"},
+    "caller": {"calls", "client_errors", "retries"},
+    "async_client": {"caller", "calls", "in_process", "retries", "schemas"},
+    "client": {
+        "async_client",
+        "caller",
+        "calls",
+        "client_errors",
+        "in_process",
+        "object_bodies",
+        "retries",
+        "schemas",
     },
     "gates": {"contract", "manifest", "loaded_models"},
     "doctor": {"errors", "storage", "registry", "loaded_models"},
@@ -192,6 +220,14 @@ OUTSIDE: dict[str, set[str]] = {
     "connections": {"uvicorn"},
     "fast_path": {"pydantic", "starlette"},
     "app": {"fastapi", "starlette"},
+    "catalogue": {"pydantic_core"},
+    "in_process": {"httpx2", "pydantic", "pydantic_core", "starlette"},
+    "client_errors": set(),
+    "retries": set(),
+    "calls": {"numpy", "orjson", "pydantic"},
+    "caller": {"httpx2"},
+    "async_client": {"httpx2", "numpy"},
+    "client": {"httpx2", "numpy"},
     "gates": {"numpy"},
     "doctor": set(),
     "cache": set(),
@@ -287,6 +323,15 @@ def test_serving_loads_neither_torch_nor_the_trainer(project_root: Path) -> None
     assert not modules & {"opentelemetry.sdk", "opentelemetry.exporter"}  # its interface is FastAPI's to import
     assert "service" in loaded
     assert not loaded & {"torch", "training", "mujoco", "safetensors", "obstore", "model_signing"}
+
+
+def test_a_client_of_a_service_loads_no_part_of_one(project_root: Path) -> None:
+    """Who asks over HTTP has neither the runtime nor the web framework nor torch in memory."""
+    code = "import sys, service.client; print(sorted({m.split('.')[0] for m in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
+    loaded = set(ast.literal_eval(done.stdout))
+    assert "httpx2" in loaded
+    assert not loaded & {"torch", "training", "onnx", "onnxruntime", "fastapi", "starlette", "uvicorn", "click"}
 
 
 def test_nothing_happens_at_import(project_root: Path) -> None:

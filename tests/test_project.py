@@ -66,7 +66,7 @@ def test_the_shipped_model_is_clearly_better_than_one_that_knows_nothing_of_the_
     assert first_version.metrics["different-objects"].rmse < float(fcn[1]) / 2.0
 
 
-@pytest.mark.parametrize("target", ["serve", "data", "train", "test", "check", "openapi"])
+@pytest.mark.parametrize("target", ["serve", "data", "train", "test", "check", "openapi", "lock", "image", "sbom"])
 def test_the_commands_that_the_project_speaks_of_exist(project_root: Path, target: str) -> None:
     """Each make target is there and says what it does."""
     makefile = (project_root / "Makefile").read_text(encoding="utf-8")
