@@ -46,9 +46,11 @@ async def push(rings: RequestTelemetry) -> None:
     scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": headers, "client": ("127.0.0.1", 1)}
 
     async def receive() -> Message:
+        """What the client sends."""
         return {"type": "http.request", "body": BODY, "more_body": False}
 
     async def send(message: Message) -> None:
+        """What the client is sent."""
         if message["type"] == "http.response.start" and message["status"] != 200:
             raise SystemExit(f"no prediction: {message}")
 

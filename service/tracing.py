@@ -51,6 +51,7 @@ class Tracing:
         status = 0
 
         async def send_and_look(message: Message) -> None:
+            """Send on, and note the status."""
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]

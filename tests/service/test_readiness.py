@@ -67,6 +67,7 @@ def test_a_model_that_stops_answering_is_not_ready_until_it_answers_again(
     readiness = Readiness(models, 2.0, 0.05)
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         await readiness.probe()
         assert (readiness.is_ready(), readiness.reason()) == (True, None)
         fickle.fault.append(fault)
@@ -90,6 +91,7 @@ def test_a_hanging_model_takes_one_thread_however_often_it_is_asked(models: Load
     fickle.fault.append("hangs")
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         before = threading.active_count()
         for _ in range(5):
             await readiness.probe()

@@ -28,6 +28,7 @@ def ticked(found: DrainingServer) -> bool:
     """Whether it closes at its next tick."""
 
     async def tick() -> bool:
+        """One tick, in a loop."""
         return await found.on_tick(0)
 
     return anyio.run(tick)

@@ -20,12 +20,14 @@ def test_two_requests_at_once_hear_their_own_parts() -> None:
     workers = Workers(2, 8, 10.0)
 
     async def request(seconds: float) -> Parts:
+        """One request."""
         parts: Parts = []
         listen(parts)
         await workers.run(took, "inference", seconds)
         return parts
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         first, second = await asyncio.gather(request(1.0), request(2.0))
         assert [part for part, _ in first] == ["queue", "inference"]
         assert (first[1], second[1]) == (("inference", 1.0), ("inference", 2.0))
@@ -38,6 +40,7 @@ def test_a_part_that_fails_is_timed_too() -> None:
     """A picture that is broken after a second of decoding took a second."""
 
     async def scenario() -> None:
+        """What happens, in the loop."""
         parts: Parts = []
         listen(parts)
         with pytest.raises(ZeroDivisionError), timed("decode"):
