@@ -34,10 +34,12 @@ serve: $(VENV)/serving ## serve models/ on 127.0.0.1:8000 (no torch needed)
 data: $(VENV)/training ## simulate the default datasets into data/simulated
 	$(BIN)/cazsl-train simulate
 
-train: data ## train push-indicator and publish its next version
-	$(BIN)/cazsl-train fit push-indicator
-	$(BIN)/cazsl-train evaluate runs/push-indicator
-	$(BIN)/cazsl-train publish runs/push-indicator
+MODEL := push-indicator
+train: data ## fit MODEL, measure it, fit it again on all objects, publish its next version
+	$(BIN)/cazsl-train fit $(MODEL)
+	$(BIN)/cazsl-train evaluate runs/$(MODEL)
+	$(BIN)/cazsl-train fit $(MODEL) --set-up all-objects --run runs/$(MODEL)-all
+	$(BIN)/cazsl-train publish runs/$(MODEL)-all --measured runs/$(MODEL)
 
 test: $(VENV)/dev ## run all tests
 	$(BIN)/pytest
