@@ -17,6 +17,7 @@ import tritonclient.http.aio as concurrent
 from tritonclient.utils import InferenceServerException
 
 from service.contract import ObjectContext
+from service.registry import Registry
 from tests.serving import ROOT, serve
 
 KSERVE = os.environ.get("CAZSL_KSERVE_PYTHON")
@@ -24,6 +25,8 @@ KSERVE = os.environ.get("CAZSL_KSERVE_PYTHON")
 PUSHES = np.array([[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]], dtype=np.float32)
 CONTEXT = ObjectContext.from_descriptor("1a2b3c4a").indicator()[None]
 INDEX = np.zeros(2, dtype=np.int64)
+SHIPPED = Registry(ROOT / "models")
+CHAMPION = str(SHIPPED.aliases("push-indicator")["champion"])
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +58,12 @@ def test_health_and_metadata(client: blocking.InferenceServerClient) -> None:
     assert client.is_server_live()
     assert client.is_server_ready()
     assert client.is_model_ready("push-indicator")
-    assert client.is_model_ready("push-indicator", "1")
+    assert client.is_model_ready("push-indicator", CHAMPION)
     assert not client.is_model_ready("push-indicator", "9")
     assert not client.is_model_ready("nobody")
     assert client.get_server_metadata()["name"] == "cazsl"
     metadata = client.get_model_metadata("push-indicator")
-    assert metadata["versions"] == ["1"]
+    assert metadata["versions"] == [str(version) for version in SHIPPED.versions("push-indicator")]
     assert [tensor["name"] for tensor in metadata["inputs"]] == ["pusher", "context", "context_index"]
 
 
@@ -75,7 +78,7 @@ def test_inference_in_every_form(
     result = client.infer(
         "push-indicator",
         inputs(blocking, binary=binary_in),
-        model_version="1",
+        model_version=CHAMPION,
         outputs=outputs,
         request_id="42",
         request_compression_algorithm=packed,
@@ -87,7 +90,7 @@ def test_inference_in_every_form(
     assert result.as_numpy("mean").shape == (2, 3)
     assert (result.as_numpy("std") > 0).all()
     response = result.get_response()
-    assert (response["model_name"], response["model_version"], response["id"]) == ("push-indicator", "1", "42")
+    assert (response["model_name"], response["model_version"], response["id"]) == ("push-indicator", CHAMPION, "42")
 
 
 def test_a_visual_model_is_asked_like_any_other(client: blocking.InferenceServerClient) -> None:
@@ -130,7 +133,7 @@ def test_the_asyncio_client_speaks_too(url: str) -> None:
             assert await client.is_server_ready()
             assert await client.is_model_ready("push-indicator")
             assert (await client.get_server_metadata())["extensions"] == ["binary_tensor_data"]
-            assert (await client.get_model_metadata("push-indicator", "1"))["versions"] == ["1"]
+            assert CHAMPION in (await client.get_model_metadata("push-indicator", CHAMPION))["versions"]
             tensors = inputs(concurrent)
             results = await asyncio.gather(
                 *(client.infer("push-indicator", tensors, request_compression_algorithm="gzip") for _ in range(20))

@@ -139,7 +139,8 @@ def test_images_inside_a_running_loop_are_read_too(picture: Path, project_root: 
         """A cell."""
         with Client.local(str(project_root / "models")) as client:
             assert client.make_context(picture).visual
+            assert client.predict_image(picture, [[-0.075, 0.0, 0.0]]).mean.shape == (1, 3)
             with pytest.raises(ProblemError, match="unknown_model"):
-                client.predict_image(picture, [[-0.075, 0.0, 0.0]])
+                client.predict_image(picture, [[-0.075, 0.0, 0.0]], model="nobody")
 
     asyncio.run(notebook())

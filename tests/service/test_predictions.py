@@ -165,7 +165,7 @@ def test_ten_thousand_pushes_are_answered_and_one_more_is_refused(shipped: TestC
     rows = [[-0.075, 0.0, 0.0]] * 10_000
     answer = batch(shipped, pushers=rows, contexts=[{"descriptor": "1a2b3c4a"}])
     assert len(answer["mean"]) == len(answer["std"]) == 10_000
-    assert answer["model"] == {"name": "push-indicator", "version": 1}
+    assert answer["model"]["name"] == "push-indicator"
     body = {"pushers": [*rows, rows[0]], "contexts": [{"descriptor": "1a2b3c4a"}]}
     assert fault(shipped.post("/v1/predict/batch", json=body))[0] == "body.pushers"
 

@@ -317,8 +317,9 @@ def test_a_copy_under_turned_names_trains_like_the_published_one(data_folder: Pa
         path.rename(turned / (path.name[2:8] + path.name[:2] + path.name[8:]))
     recipe = tmp_path / "short.toml"
     recipe.write_text(
-        'name = "push-indicator"\nmethod = "FCN + CM"\nset_up = "different-objects"\nepochs = 1\nbatch_objects = 64\n'
-        "learning_rate = 0.002\nlambda_1 = 0.0\nlambda_2 = 0.0\nseed = 0\n"
+        'name = "push-indicator"\nmethod = "FCN + CM"\ncontext = "indicator"\nset_up = "different-objects"\n'
+        "epochs = 1\nbatch_objects = 64\nlearning_rate = 0.002\nwarm_up_steps = 0\nlambda_1 = 0.0\nlambda_2 = 0.0\n"
+        'precision = "auto"\nseed = 0\n'
     )
 
     result = cazsl_train("fit", recipe, "--data", turned, "--run", tmp_path / "run")
