@@ -4,7 +4,7 @@ import json
 import signal
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import click
 import pydantic
@@ -30,6 +30,8 @@ from service.requests import PredictRequest, PusherBody
 from service.server import DrainingServer
 from service.telemetry import configure_logging
 from service.terminal import FAILED, mend, registry_option
+
+SWITCH_INTERVAL_S: Final = 0.0005
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
@@ -85,6 +87,8 @@ def serve(**options: Any) -> None:
             start_http_server(settings.metrics_port, settings.host, app.state.metrics)
         except OSError as error:
             raise click.ClickException(f"CAZSL_METRICS_PORT: {settings.metrics_port}: {error.strerror}") from error
+    # Loading a version is Python on another thread; requests wait for it to give way, by default for 5 ms
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
     server = DrainingServer(serving, settings.drain_s, app.state.readiness.drain)
     server.run()
     if not server.started:
