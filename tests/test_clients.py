@@ -146,7 +146,10 @@ def test_the_asyncio_client_speaks_too(url: str) -> None:
     asyncio.run(scenario())
 
 
-@pytest.mark.skipif(KSERVE is None, reason="CAZSL_KSERVE_PYTHON names no interpreter with kserve")
+@pytest.mark.skipif(
+    KSERVE is None,
+    reason="kserve wants protobuf < 7: CAZSL_KSERVE_PYTHON names no interpreter with it",
+)
 def test_the_sdk_of_kserve_speaks_too(url: str) -> None:
     """Health, inference in both forms, and the text of an error."""
     script = str(ROOT / "tests" / "kserve_client.py")

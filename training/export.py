@@ -38,7 +38,7 @@ from training.evaluate import COVERAGE_LEVELS, Evaluation, evaluate
 from training.networks import PushNetwork
 from training.neural_process import NeuralProcess
 from training.probes import Batch, extreme_batch, feed, probe_batch
-from training.published import published_normalisation
+from training.published import Split, published_normalisation
 from training.recipes import Recipe
 from training.samples import Samples
 
@@ -175,14 +175,7 @@ def publish(
     """
     kind, split = recipe.context_kind, recipe.split()
     judged, judge = (recipe, network) if measured is None else measured
-    if replace(judged, set_up=recipe.set_up) != recipe:
-        raise DataError(f"the run of {judged.name} that was measured is of another recipe; only set_up may differ")
-    set_up = judged.split()
-    if not set_up.test:
-        raise DataError(
-            f"{recipe.name} was trained on every object, so no figure of its own would be honest; train the same "
-            "recipe with --set-up different-objects, and publish with --measured and the folder of that run"
-        )
+    set_up = _measured_split(recipe, judged)
     if not isinstance(network, PushNetwork) or set_up.test_surface is not None:
         raise DataError(
             f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
@@ -224,6 +217,19 @@ def publish(
         files={},
     )
     return registry.publish(draft, model, render_card(draft, found, train, parity))
+
+
+def _measured_split(recipe: Recipe, judged: Recipe) -> Split:
+    """The set-up on which the figures of a version are measured, which must be of the same recipe."""
+    if replace(judged, set_up=recipe.set_up) != recipe:
+        raise DataError(f"the run of {judged.name} that was measured is of another recipe; only set_up may differ")
+    set_up = judged.split()
+    if not set_up.test:
+        raise DataError(
+            f"{recipe.name} was trained on every object, so no figure of its own would be honest; train the same "
+            "recipe with --set-up different-objects, and publish with --measured and the folder of that run"
+        )
+    return set_up
 
 
 def _calibration(found: Evaluation) -> Calibration:
