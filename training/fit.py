@@ -3,8 +3,7 @@
 A run folder holds ``config.json`` (recipe, data, code version), ``metrics.jsonl`` (a line per epoch), ``checkpoint.pt``
 (while running) and at the end ``cost.json`` (seconds, device) and ``weights.safetensors``. Batches, and all else that
 is random, depend on the seed and the epoch's number alone, so a run that was killed continues from its last checkpoint
-as one that was not: to the same weights on one thread. On several, two runs of one seed differ by rounding from the
-first epoch on (1e-6 of the loss in float32) and drift apart with time.
+as one that was not: to the same weights, on any number of threads (see ``shards``; a neural process on one only).
 """
 
 import ctypes
@@ -12,6 +11,7 @@ import json
 import math
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,11 +27,11 @@ from service.errors import DataError
 from training import neural_process
 from training.augmentation import augmented
 from training.evaluate import evaluate
-from training.losses import context_regulariser, gaussian_nll
 from training.networks import PUSH_SHAPES, PushNetwork, Shape
 from training.neural_process import NeuralProcess
 from training.recipes import CIRCULAR, Recipe, parse_recipe_record
 from training.samples import Samples, TrainingData
+from training.shards import Mapper, cores, set_gradients
 
 CONFIG_FILE: Final = "config.json"
 METRICS_FILE: Final = "metrics.jsonl"
@@ -114,14 +114,12 @@ def train_epoch(
         torch.manual_seed(int(rng.integers(2**63)))
     network.train()
     sums = torch.zeros(2, device=train.context.device)
-    for step, batch in enumerate(batches, start=1 + epoch * len(batches)):
-        adam.param_groups[0]["lr"] = learning_rate(recipe, step) * cooling(recipe, epoch)
-        met = augmented(train.select(batch), recipe.symmetries, recipe.no_contact, rng)
-        likelihood, penalty = _loss_terms(network, met, recipe, dtype)
-        adam.zero_grad()
-        torch.autograd.backward(likelihood + penalty)
-        adam.step()
-        sums += torch.stack([likelihood.detach(), penalty.detach()])
+    with cores() if isinstance(network, PushNetwork) else nullcontext(map) as run:
+        for step, batch in enumerate(batches, start=1 + epoch * len(batches)):
+            adam.param_groups[0]["lr"] = learning_rate(recipe, step) * cooling(recipe, epoch)
+            met = augmented(train.select(batch), recipe.symmetries, recipe.no_contact, rng)
+            sums += torch.stack(_set_gradients(network, met, recipe, dtype, run))
+            adam.step()
     mean_likelihood, mean_penalty = (sums / len(batches)).tolist()
     return mean_likelihood, mean_penalty
 
@@ -162,15 +160,13 @@ def product_dtype(precision: str, device: torch.device) -> torch.dtype:
     return torch.bfloat16 if able else torch.float32
 
 
-def _loss_terms(network: Network, batch: Samples, recipe: Recipe, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """Likelihood and penalty of a batch."""
+def _set_gradients(
+    network: Network, batch: Samples, recipe: Recipe, dtype: torch.dtype, run: Mapper
+) -> tuple[Tensor, Tensor]:
+    """Set the gradient of the loss of a batch; likelihood and penalty."""
     if isinstance(network, NeuralProcess):
-        return neural_process.loss_terms(network, batch, dtype)
-    mean, log_std, mask = network(batch.inputs, batch.context, dtype)
-    likelihood = gaussian_nll(mean, log_std, batch.targets, batch.valid)
-    if network.distance is None:
-        return likelihood, likelihood.new_zeros(())
-    return likelihood, context_regulariser(mask, batch.context, network.distance, recipe.lambda_1, recipe.lambda_2)
+        return neural_process.set_gradients(network, batch, dtype)
+    return set_gradients(network, batch, recipe, dtype, run)
 
 
 def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:

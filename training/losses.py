@@ -7,14 +7,16 @@ import torch
 from torch import Tensor
 
 
-def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor) -> Tensor:
+def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor, pushes: Tensor | None = None) -> Tensor:
     """Negative log likelihood averaged over all valid pushes and their outputs.
 
     ``mean``, ``log_std`` and ``target`` are (objects, pushes, outputs), ``valid`` is (objects, pushes): one or zero.
+    Of a part of a batch, ``pushes`` is how many the whole of it has: the parts add up to the average.
     """
     scaled = (target - mean) * torch.exp(-log_std)
     per_output = 0.5 * scaled * scaled + log_std + 0.5 * math.log(2.0 * math.pi)
-    return (per_output * valid[..., None]).sum() / (valid.sum() * target.shape[-1])
+    pushes = valid.sum() if pushes is None else pushes
+    return (per_output * valid[..., None]).sum() / (pushes * target.shape[-1])
 
 
 def context_regulariser(

@@ -5,9 +5,8 @@ belongs to the object: it is encoded once per object and broadcast over its push
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +16,7 @@ from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
 from training.angles import circular
 from training.encoders import context_distance, context_encoder
 from training.methods import ContextUse, Method
+from training.rounded import rounded_dense, rounded_first, rounded_last
 
 WIDTH: Final = 256
 POSE: Final = 3
@@ -101,67 +101,51 @@ class PushNetwork(nn.Module):
             hidden = hidden * conditioning
         return self._upper_layers(hidden)
 
-    def forward(self, pusher: Tensor, context: Tensor, dtype: torch.dtype = torch.float32) -> Prediction:
-        """Predict pushes (objects, pushes, 3) of objects with these contexts.
+    def push_parameters(self) -> list[nn.Parameter]:
+        """Those of the layers that every push goes through; the others meet contexts alone."""
+        return [value for layer in (self.first, self.second, self.third, self.last) for value in layer.parameters()]
 
-        ``dtype`` is that of the two wide layers, where nearly all the work is; everything else stays float32.
-        """
+    def forward(self, pusher: Tensor, context: Tensor, dtype: torch.dtype = torch.float32) -> Prediction:
+        """Predict pushes (objects, pushes, 3) of objects with these contexts; ``dtype`` as ``conditioned`` has it."""
         conditioning = self.conditioning(context)
+        return Prediction(*self.conditioned(pusher, conditioning, dtype), conditioning)
+
+    def conditioned(
+        self, pusher: Tensor, conditioning: Tensor | None, dtype: torch.dtype = torch.float32
+    ) -> tuple[Tensor, Tensor]:
+        """Mean and log std of pushes (objects, pushes, 3) of objects with this conditioning (objects, 256).
+
+        ``dtype`` is that of the products, see ``rounded``; what goes in and comes out is float32.
+        """
         pusher = circular(pusher) if self.circular_angle else pusher
-        weight, bias = self.first.weight[:, : self.inputs].T, self.first.bias
+        weight: Tensor = self.first.weight[:, : self.inputs].T
+        bias: Tensor = self.first.bias
         if conditioning is None:
-            hidden = functional.linear(pusher, weight.T, bias)
+            weight, bias = weight.expand(len(pusher), -1, -1), bias.expand(len(pusher), -1)
         elif self.use is ContextUse.MASKED:
             # ReLU(W x + b) * m = ReLU((m W) x + m b), since a mask is never negative: multiplied into the weights it
             # costs a pass per object, multiplied onto the activations a pass per push
-            masked = weight * conditioning[:, None, :]  # (objects, inputs, 256)
-            hidden = torch.baddbmm((bias * conditioning)[:, None, :], pusher, masked)
+            weight, bias = weight * conditioning[:, None, :], bias * conditioning
         else:
-            shared = weight.expand(len(pusher), -1, -1)
-            hidden = torch.baddbmm((bias + conditioning)[:, None, :], pusher, shared)
-        return Prediction(*self._upper_layers(torch.relu_(hidden.to(dtype))), conditioning)
+            weight, bias = weight.expand(len(pusher), -1, -1), bias + conditioning
+        if dtype == torch.float32:
+            return self._upper_layers(torch.relu_(torch.baddbmm(bias[:, None, :], pusher, weight)))
+        hidden = rounded_first(pusher, weight, bias[:, None, :], dtype).flatten(0, -2)
+        for layer in (self.second, self.third):
+            hidden = rounded_dense(hidden, layer.weight, layer.bias)
+        out = rounded_last(hidden, self.last.weight, self.last.bias)
+        return self._halves(out.view(*pusher.shape[:-1], -1))
 
     def _upper_layers(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
         for layer in (self.second, self.third):
-            if hidden.dtype == layer.weight.dtype:
-                hidden = torch.relu(layer(hidden))
-            else:
-                hidden = rounded_dense(hidden, layer.weight, layer.bias)
-        mean, log_std = self.last(hidden.to(self.last.weight.dtype)).chunk(2, dim=-1)
+            hidden = torch.relu(layer(hidden))
+        return self._halves(self.last(hidden))
+
+    def _halves(self, out: Tensor) -> tuple[Tensor, Tensor]:
+        """Mean and log std of what the last layer gives."""
+        mean, log_std = out.chunk(2, dim=-1)
         log_std = log_std if self.training else bounded(log_std)
         if self.least_std > 0.0:  # log(exp(s) + least), written so that it never overflows
             least = math.log(self.least_std)
             log_std = least + functional.softplus(log_std - least)
         return mean, log_std
-
-
-class RoundedDense(torch.autograd.Function):
-    """``ReLU(W x + b)`` with products in the type of x, weights and their gradients in theirs.
-
-    Weights are rounded for the product only, so no step of Adam is lost. Torch's own backward sums the bias's gradient
-    column by column, which takes as long as a product here; as a product with ones it is nearly free.
-    """
-
-    @staticmethod
-    def forward(ctx: Any, value: Tensor, weight: Tensor, bias: Tensor) -> Tensor:
-        """Outputs (..., width) of values (..., width)."""
-        rows, rounded = value.flatten(0, -2), weight.to(value.dtype)
-        result = torch.relu_(torch.addmm(bias.to(value.dtype), rows, rounded.T))
-        ctx.save_for_backward(rows, rounded, result)
-        ctx.kept = weight.dtype
-        return result.view(*value.shape[:-1], -1)
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Gradients of value, weight and bias."""
-        rows, rounded, result = ctx.saved_tensors
-        above = torch.ops.aten.threshold_backward(gradients[0].flatten(0, -2), result, 0)
-        bias = above.new_ones(1, len(above)) @ above
-        return (
-            (above @ rounded).view(*gradients[0].shape[:-1], -1),
-            (above.T @ rows).to(ctx.kept),
-            bias[0].to(ctx.kept),
-        )
-
-
-rounded_dense: Final[Callable[[Tensor, Tensor, Tensor], Tensor]] = RoundedDense.apply

@@ -164,6 +164,14 @@ def loss_terms(network: NeuralProcess, samples: Samples, dtype: torch.dtype) -> 
     return gaussian_nll(mean, log_std, targets.targets, targets.valid), divergence
 
 
+def set_gradients(network: NeuralProcess, samples: Samples, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
+    """Set the gradient of the bound in every parameter; its two terms."""
+    network.zero_grad()
+    likelihood, divergence = loss_terms(network, samples, dtype)
+    torch.autograd.backward(likelihood + divergence)
+    return likelihood.detach(), divergence.detach()
+
+
 def predict_targets(
     network: NeuralProcess, samples: Samples, seed: int = 0, leak: bool = False
 ) -> tuple[Prediction, Points]:

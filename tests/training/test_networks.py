@@ -10,7 +10,7 @@ from tests.training import by_hand
 from tests.training.by_hand import array_of
 from training.angles import circular
 from training.methods import METHODS
-from training.networks import LOG_STD_LIMIT, PUSH_SHAPES, PushNetwork, Shape, rounded_dense
+from training.networks import LOG_STD_LIMIT, PUSH_SHAPES, PushNetwork, Shape
 
 NONE, INDICATOR, VISUAL = ContextKind.NONE, ContextKind.INDICATOR, ContextKind.VISUAL
 # (3 + 1) 256 + (256 + 1) 256 + (256 + 1) 256 + (256 + 1) 6
@@ -218,26 +218,6 @@ def test_the_bound_does_not_hold_training_back() -> None:
 
     assert network.last.bias.grad is not None
     assert network.last.bias.grad[3:].tolist() == [4.0] * 3
-
-
-def test_a_rounded_layer_has_the_slopes_of_the_exact_one() -> None:
-    """Values and gradients of ReLU(W x + b), to the rounding of bfloat16."""
-    torch.manual_seed(7)
-    value, target = torch.randn(3, 40, 256), torch.randn(3, 40, 256)
-    weight, bias = torch.randn(256, 256) / 16.0, torch.randn(256)
-    exact = [tensor.clone().requires_grad_() for tensor in (value, weight, bias)]
-    rounded = [tensor.clone().requires_grad_() for tensor in (value, weight, bias)]
-    of_exact = torch.relu(exact[0] @ exact[1].T + exact[2])
-    of_rounded = rounded_dense(rounded[0].to(torch.bfloat16), rounded[1], rounded[2])
-    torch.autograd.backward([(of_exact * target).sum(), (of_rounded.float() * target).sum()])
-
-    assert of_rounded.dtype is torch.bfloat16
-    assert (of_rounded - of_exact).abs().max() < 0.02 * of_exact.abs().max()
-    for found, expected in zip(rounded, exact, strict=True):
-        assert found.grad is not None
-        assert expected.grad is not None
-        assert found.grad.dtype is torch.float32
-        assert (found.grad - expected.grad).norm() < 0.05 * expected.grad.norm()  # mostly gates that flip
 
 
 @pytest.mark.parametrize("method", ["FCN", "FCN + CC", "FCN + CM"])
