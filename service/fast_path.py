@@ -20,8 +20,9 @@ from service.intake import WholeBody
 from service.keys import Keys
 from service.keys import Scope as KeyScope
 from service.loaded_models import LoadedModels, Snapshot
-from service.predictions import Answer, is_light, predict_batch, predict_one
+from service.predictions import Answer, Question, ask_one, is_light, predict_batch, predict_one
 from service.requests import BatchRequest, PredictRequest
+from service.turns import Turns
 from service.workers import Workers
 
 _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
@@ -34,6 +35,7 @@ class Door:
     route: str
     parse: Callable[[bytes], Any]
     predict: Callable[[Snapshot, Any], Answer]
+    ask: Callable[[Snapshot, Any], Question] | None = None  # where there is one push to ask about, with others
 
     def answer(self, models: Snapshot, content: bytes) -> Answer:
         """All of it in one go, for a thread."""
@@ -43,7 +45,7 @@ class Door:
 DOORS: Final = {
     door.route: door
     for door in (
-        Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one),
+        Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one),
         Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
     )
 }
@@ -59,6 +61,7 @@ class FastPath:
         self._models = models
         self._workers = workers
         self._keys = keys
+        self._turns = Turns()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
@@ -83,6 +86,8 @@ class FastPath:
             return await self._workers.run(door.answer, models, content)
         request = door.parse(content)
         if is_light(request):
+            if door.ask is not None:
+                return await self._turns.answer(door.ask(models, request))
             return door.predict(models, request)
         return await self._workers.run(door.predict, models, request)
 

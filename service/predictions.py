@@ -25,7 +25,7 @@ LIGHT_PUSHES: Final = 256  # as many are answered in about the time that handing
 MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
 _CACHED_OBJECTS: Final = 4096  # Omnipush has 250
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
-Render = Callable[[FloatArray, FloatArray, DoubleArray | None], dict[str, object]]
+Render = Callable[[FloatArray | DoubleArray, FloatArray | DoubleArray, DoubleArray | None], dict[str, object]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +55,57 @@ class Objects:
 NO_OBJECT: Final = Objects(ContextKind.NONE, None, None)
 
 
+@dataclass(frozen=True, slots=True)
+class Question:
+    """Pushes of objects that a model is asked about, and how the answer is written."""
+
+    model: LoadedModel
+    pushers: FloatArray  # (n, 3), in the object frame
+    objects: Objects
+    frames: DoubleArray | None  # where the objects are in the world, (1, 3) or (n, 3), where that was said
+    render: Render
+
+    def answer(self) -> Answer:
+        """Ask the model.
+
+        Raises:
+            ContextKindError, PredictionError: as ``LoadedModel.predict``.
+        """
+        objects = self.objects
+        return self.answered(*self.model.predict(self.pushers, objects.kind, objects.tensor, objects.places))
+
+    def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """The answer that this mean and std (n, 3) make."""
+        name, version = self.model.manifest.name, self.model.manifest.version
+        document: dict[str, object] = {"model": {"name": name, "version": version}}
+        if self.frames is None:
+            document |= {"frame": "object", **self.render(mean, std, None)}
+        else:
+            turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), self.frames)
+            spread = np.ascontiguousarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
+            document |= {"frame": "world", **self.render(turned, spread, covariance)}
+        return Answer(orjson.dumps(document, option=_JSON), name, version, len(self.pushers))
+
+
+def ask_one(models: Snapshot, request: PredictRequest) -> Question:
+    """What a request for one push asks.
+
+    Raises:
+        RequestError: the push, the object or the model asked for cannot be.
+        ModelNotReadyError: as ``Snapshot.find``.
+    """
+    objects = _object(request)
+    return _one_push(_model(models, request, objects.kind), request, objects)
+
+
 def predict_one(models: Snapshot, request: PredictRequest) -> Answer:
     """Answer one push.
 
     Raises:
-        RequestError: the push, the object or the model asked for cannot be.
-        ModelNotReadyError, PredictionError: as ``Snapshot.find`` and ``LoadedModel.predict``.
+        RequestError, ModelNotReadyError: as ``ask_one``.
+        PredictionError: as ``LoadedModel.predict``.
     """
-    objects = _object(request)
-    return _predict_one(_model(models, request, objects.kind), request, objects)
+    return ask_one(models, request).answer()
 
 
 def predict_with(model: LoadedModel, request: PredictRequest) -> Answer:
@@ -72,7 +114,7 @@ def predict_with(model: LoadedModel, request: PredictRequest) -> Answer:
     Raises:
         RequestError, PredictionError: as ``predict_one``.
     """
-    return _predict_one(model, request, _object(request))
+    return _one_push(model, request, _object(request)).answer()
 
 
 def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
@@ -87,7 +129,7 @@ def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
         places = request.places()
     objects = NO_OBJECT if places is None else _objects(request.contexts or (), places)
     model = _model(models, request, objects.kind)
-    return _answer(model, pushers, objects, request.objects(), _columns)
+    return Question(model, pushers.astype(np.float32), objects, request.objects(), _columns).answer()
 
 
 def predict_upload(models: Snapshot, upload: Upload) -> Answer:
@@ -101,10 +143,11 @@ def predict_upload(models: Snapshot, upload: Upload) -> Answer:
     if "pushers" not in upload.fields:
         request = PredictRequest.model_validate(upload.fields)
         objects = Objects(ContextKind.VISUAL, tensor, FIRST_OBJECT)
-        return _predict_one(_model(models, request, objects.kind), request, objects)
+        return _one_push(_model(models, request, objects.kind), request, objects).answer()
     batch = BatchRequest.model_validate(upload.fields)
     objects = Objects(ContextKind.VISUAL, tensor, np.zeros(len(batch.pushers), dtype=np.int64))
-    return _answer(_model(models, batch, objects.kind), batch.pusher_poses(), objects, batch.objects(), _columns)
+    model, pushers = _model(models, batch, objects.kind), batch.pusher_poses().astype(np.float32)
+    return Question(model, pushers, objects, batch.objects(), _columns).answer()
 
 
 def is_light(request: object) -> bool:
@@ -120,8 +163,8 @@ def _object(request: PredictRequest) -> Objects:
     return NO_OBJECT if request.context is None else Objects(*_encoded(request.context, "body.context"), FIRST_OBJECT)
 
 
-def _predict_one(model: LoadedModel, request: PredictRequest, objects: Objects) -> Answer:
-    return _answer(model, request.pusher_poses(), objects, request.objects(), _one)
+def _one_push(model: LoadedModel, request: PredictRequest, objects: Objects) -> Question:
+    return Question(model, request.pusher_poses().astype(np.float32), objects, request.objects(), _one)
 
 
 def _model(models: Snapshot, request: Prediction, kind: ContextKind) -> LoadedModel:
@@ -129,22 +172,9 @@ def _model(models: Snapshot, request: Prediction, kind: ContextKind) -> LoadedMo
     return models.find_default(kind) if reference is None else models.find(reference)
 
 
-def _answer(
-    model: LoadedModel, pushers: DoubleArray, objects: Objects, frames: DoubleArray | None, render: Render
-) -> Answer:
-    mean, std = model.predict(pushers.astype(np.float32), objects.kind, objects.tensor, objects.places)
-    name, version = model.manifest.name, model.manifest.version
-    document: dict[str, object] = {"model": {"name": name, "version": version}}
-    if frames is None:
-        document |= {"frame": "object", **render(mean, std, None)}
-    else:
-        turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), frames)
-        spread = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
-        document |= {"frame": "world", **render(turned, np.ascontiguousarray(spread), covariance)}  # type: ignore[arg-type]
-    return Answer(orjson.dumps(document, option=_JSON), name, version, len(pushers))
-
-
-def _one(mean: FloatArray, std: FloatArray, covariance: DoubleArray | None) -> dict[str, object]:
+def _one(
+    mean: FloatArray | DoubleArray, std: FloatArray | DoubleArray, covariance: DoubleArray | None
+) -> dict[str, object]:
     (x, y, angle), (x_std, y_std, angle_std) = mean[0], std[0]
     rows: dict[str, object] = {
         "mean": {"x": x, "y": y, "angle": angle},
@@ -153,7 +183,9 @@ def _one(mean: FloatArray, std: FloatArray, covariance: DoubleArray | None) -> d
     return rows if covariance is None else {**rows, "covariance": covariance[0]}
 
 
-def _columns(mean: FloatArray, std: FloatArray, covariance: DoubleArray | None) -> dict[str, object]:
+def _columns(
+    mean: FloatArray | DoubleArray, std: FloatArray | DoubleArray, covariance: DoubleArray | None
+) -> dict[str, object]:
     rows: dict[str, object] = {"mean": mean, "std": std}
     return rows if covariance is None else {**rows, "covariance": covariance}
 

@@ -1,7 +1,7 @@
 """The seam around the engine: arrays in, arrays out. The only module that imports onnxruntime."""
 
 import math
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import onnxruntime
@@ -11,9 +11,18 @@ from service.errors import BrokenModelError, PredictionError
 from service.graph import inspect_graph
 from service.manifest import OUTPUTS, Tensor, expected_inputs
 
+# The runtime computes sines and the like of four numbers at once, and those left over at the end of a tensor by other
+# instructions, which round otherwise: with nothing left over, a push gets the same bits whatever stands beside it.
+PUSHES_AT_ONCE: Final = 4
+_PADDING: Final = np.zeros((PUSHES_AT_ONCE, 3), dtype=np.float32)
+_FIRST: Final = np.zeros(PUSHES_AT_ONCE, dtype=np.int64)
+
 
 class Predictor(Protocol):
-    """A loaded model. SI units in and out, see the contract's ONNX interface."""
+    """A loaded model. SI units in and out, see the contract's ONNX interface.
+
+    What it gives for a push depends on that push and its object alone, to the bit.
+    """
 
     def predict(
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
@@ -56,13 +65,21 @@ class OnnxPredictor:
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
     ) -> tuple[FloatArray, FloatArray]:
         """See ``Predictor.predict``."""
+        pushes = len(pusher)
+        missing = -pushes % PUSHES_AT_ONCE
+        if missing:
+            pusher = np.concatenate((pusher, _PADDING[:missing]))
         feed: dict[str, FloatArray | IndexArray | None] = {"pusher": pusher}
         if self._kind is not ContextKind.NONE:
+            if missing and context_index is not None:
+                context_index = np.concatenate((context_index, _FIRST[:missing]))
             feed |= {"context": context, "context_index": context_index}
         try:
             mean, std = self._session.run(("mean", "std"), feed)
         except Exception as error:  # see above
             raise PredictionError("the runtime could not evaluate the model") from error
+        if missing:
+            mean, std = mean[:pushes], std[:pushes]
         if not _is_gaussian(mean, std):
             raise PredictionError("the model gave a mean or std that is not finite, or a std that is not positive")
         return mean, std

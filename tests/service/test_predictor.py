@@ -43,14 +43,34 @@ def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) 
     assert (std > 0).all()
 
 
-def test_a_row_does_not_depend_on_the_rows_beside_it(predictor: Predictor) -> None:
-    """A mixed batch gives what its pushes give one by one, within float32 rounding."""
-    pusher, context, index = pushes(20)
-    together = predictor.predict(pusher, context, index)
-    for row in range(len(pusher)):
-        alone = predictor.predict(pusher[row : row + 1], context[index[row]][None], np.zeros(1, dtype=np.int64))
-        np.testing.assert_allclose(alone[0][0], together[0][row], atol=1e-6)
-        np.testing.assert_allclose(alone[1][0], together[1][row], atol=1e-6)
+def contexts(kind: ContextKind, count: int) -> np.ndarray | None:
+    """Random contexts of a kind."""
+    rng = np.random.default_rng(1)
+    if kind is ContextKind.NONE:
+        return None
+    if kind is ContextKind.VISUAL:
+        return (rng.integers(0, 256, (count, 1, 32, 32)) / np.float32(255.0)).astype(np.float32)
+    names = ["".join(f"{rng.integers(1, 5)}{rng.choice(list('aabc'))}" for _ in range(4)) for _ in range(count)]
+    kept = [name for name in names if sum(letter != "a" for letter in name[1::2]) <= 2] or ["1a2b3c4a"]
+    return np.stack([ObjectContext.from_descriptor(kept[n % len(kept)]).indicator() for n in range(count)])
+
+
+@pytest.mark.parametrize("kind", list(ContextKind))
+def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: ContextKind) -> None:
+    """Alone, in a crowd, first or last: the same bits, of every model that ships."""
+    registry, name = Registry(project_root / "models"), f"push-{kind}"
+    predictor = OnnxPredictor(registry.read(name, registry.versions(name)[-1]).model, kind)
+    rng, tensor = np.random.default_rng(2), contexts(kind, 30)
+    pusher = rng.uniform([-0.1, -0.1, -3.1], [0.1, 0.1, 3.1], (600, 3)).astype(np.float32)
+    index = rng.integers(0, 30, 600)
+    together = np.stack(predictor.predict(pusher, tensor, index), axis=1)
+
+    for count in [*range(1, 34), 63, 250, 255]:
+        rows = rng.choice(600, count, replace=False)
+        objects, places = np.unique(index[rows], return_inverse=True)
+        given = (None, None) if tensor is None else (tensor[objects], places.astype(np.int64))
+        found = np.stack(predictor.predict(pusher[rows], *given), axis=1)
+        assert found.tobytes() == together[rows].tobytes(), count
 
 
 @pytest.mark.parametrize("model", [b"", b"not a model", b"\x08\x0a" * 50], ids=["empty", "text", "noise"])
