@@ -35,13 +35,15 @@ def predict_file(
             yield row, batch.select(columns)
             row += batch.num_rows
 
-    with new_file(target) as opened, workforce.at_work(chunk_predictor, model) as crew:
-        written = PredictionFile(opened, source.schema, model.manifest)
+    with (
+        new_file(target) as opened,
+        PredictionFile(opened, source.schema, model.manifest) as written,
+        workforce.at_work(chunk_predictor, model) as crew,
+    ):
         for found in crew.in_order(pieces()):
             batch = sent.popleft()
             written.write(batch, found)
             advance(batch.num_rows)
-        written.close()
 
 
 def chunk_predictor(parts: ModelParts) -> Callable[[Piece], FloatArray]:

@@ -1,8 +1,9 @@
 """Tables of pushes as Parquet files: read a chunk of rows at a time, written again with predictions beside them."""
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any, Final
+from typing import IO, Any, Final, Self
 
 import numpy as np
 import pyarrow as pa
@@ -117,11 +118,15 @@ class PredictionFile:
         if len(self._waiting) == GROUP_CHUNKS:
             self._write_group()
 
-    def close(self) -> None:
-        """Write what is left, and the end of the file."""
-        if self._waiting:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, fault: type[BaseException] | None, *_: object) -> None:
+        """Write what is left, unless something went wrong, and the end of the file."""
+        if fault is None and self._waiting:
             self._write_group()
-        self._writer.close()
+        with contextlib.suppress(*([] if fault is None else [OSError])):  # a full disk, of which the fault tells
+            self._writer.close()
 
     def _write_group(self) -> None:
         self._writer.write_table(pa.Table.from_batches(self._waiting, self._schema))

@@ -137,6 +137,7 @@ class LocalCores:
             pool.shutdown(wait=False, cancel_futures=True)
             for child in set(multiprocessing.active_children()) - others:
                 child.kill()  # otherwise this process would wait for what it is doing
+                child.join()
 
 
 class RayCluster:
