@@ -1,12 +1,13 @@
 """A Ray cluster of two nodes on this machine, and a workforce that loses one of them while it is at work."""
 
+import importlib
 import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 from service.workforce import Crew, RayCluster
 
@@ -15,7 +16,7 @@ P = TypeVar("P")
 R = TypeVar("R")
 LOOKS = 3000
 LOOK_S = 0.02
-NODE = {
+NODE: Final[dict[str, Any]] = {
     "num_cpus": 1,
     "node_ip_address": "127.0.0.1",
     "object_store_memory": 80 * 2**20,
@@ -29,9 +30,8 @@ class TwoNodes:
     """A head with one processor, and for as long as it lives a second node with another."""
 
     def __init__(self) -> None:
-        from ray.cluster_utils import Cluster  # seconds, which only those tests pay that have a cluster
-
-        self._cluster = Cluster(initialize_head=True, head_node_args=NODE)
+        # by its name, since it takes seconds and has no types; only tests with a cluster pay for it
+        self._cluster = importlib.import_module("ray.cluster_utils").Cluster(initialize_head=True, head_node_args=NODE)
         self._second: Any = None
         self.address: str = self._cluster.address
 

@@ -133,14 +133,14 @@ def test_a_cluster_that_loses_a_node_writes_the_same_bytes(
 
 
 def test_the_command_uses_the_cluster_that_it_is_given(
-    source: Path, expected: bytes, two_nodes: TwoNodes, tmp_path: Path, registry: Path
+    source: Path, expected: bytes, ray_cluster: TwoNodes, tmp_path: Path, registry: Path
 ) -> None:
     """The same bytes again, and the line at the end says by whom."""
     target = tmp_path / "out.parquet"
-    arguments = ["predict", "--parquet", str(source), str(target), "--ray", two_nodes.address]
+    arguments = ["predict", "--parquet", str(source), str(target), "--ray", ray_cluster.address]
     result = CliRunner().invoke(main, [*arguments, "--registry", str(registry)])
     assert result.exit_code == 0, result.output
-    assert f"Ray at {two_nodes.address}" in result.stdout
+    assert f"Ray at {ray_cluster.address}" in result.stdout
     assert target.read_bytes() == expected
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from service.errors import FieldFault, InvalidRequestError, WorkforceError
 from service.workforce import LocalCores, RayCluster, ThisProcess, Workforce, gather
-from tests.clusters import LosesNode, TwoNodes, ended, wait_for
+from tests.clusters import TwoNodes, ended, wait_for
 
 
 def power(exponent: int) -> Callable[[int], int]:
@@ -124,19 +124,9 @@ def test_workers_end_with_a_parent_that_is_killed(tmp_path: Path, project_root: 
     wait_for(lambda: ended(pid))
 
 
-def test_work_goes_on_when_a_node_dies(two_nodes: TwoNodes, tmp_path: Path) -> None:
-    """What it was doing is done again on the other, and the results are those of one process."""
-    workforce = LosesNode(two_nodes, tmp_path, held=6)
-    with workforce.at_work(power, 2) as crew:
-        found = list(crew.in_order(range(20, 36)))
-
-    assert found == [piece**2 for piece in range(20, 36)]
-    assert workforce.done_twice() == 1
-
-
-def test_an_error_on_a_cluster_arrives_as_it_was_raised(two_nodes: TwoNodes) -> None:
+def test_an_error_on_a_cluster_arrives_as_it_was_raised(ray_cluster: TwoNodes) -> None:
     """Not as one of Ray."""
-    workforce = RayCluster(two_nodes.address)
+    workforce = RayCluster(ray_cluster.address)
     with pytest.raises(InvalidRequestError) as caught, workforce.at_work(power, 2) as crew:
         list(crew.in_order([1, 2, 13, 4]))
 

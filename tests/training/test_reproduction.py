@@ -183,7 +183,7 @@ def test_a_run_that_fails_is_named(small: Experiment, viewed_pushes: Pushes, tmp
     killed.mkdir(parents=True)
     (killed / "config.json").write_text("{}", encoding="utf-8")
 
-    with pytest.raises(DataError, match="^different-objects, fcn, seed 0: .* records another run"):
+    with pytest.raises(DataError, match=r"^different-objects, fcn, seed 0: .* records another run"):
         measured(small, viewed_pushes, tmp_path, LocalCores(2))
 
 
