@@ -39,7 +39,7 @@ def predict_s(source: Path, target: Path, jobs: int) -> float:
     """Seconds that the command takes."""
     command = [sys.executable, "-c", "from service.cli import main; main()", "predict"]
     started = time.perf_counter()
-    options = ["--registry", ROOT / "models", "--parquet", source, target, "--jobs", str(jobs)]
+    options: list[str | Path] = ["--registry", ROOT / "models", "--parquet", source, target, "--jobs", str(jobs)]
     subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - started
 

@@ -153,7 +153,11 @@ def new_key(name: str, scopes: tuple[str, ...]) -> None:
     metavar="IN OUT",
     help="Predict every row of the Parquet file IN into the new file OUT.",
 )
-@click.option("--jobs", type=click.IntRange(1), help="With --parquet: local processes. [default: one per processor]")
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    help="With --parquet: local processes. [default: one per processor, where each has 200,000 rows to do]",
+)
 @click.option(
     "--ray", "ray_address", metavar="ADDRESS", help="With --parquet: on this Ray cluster: HOST:PORT, or auto."
 )

@@ -1,5 +1,6 @@
 """Files of pushes: whole, in order, the same to the bit whoever predicts them, and a bad row is named."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -269,3 +270,17 @@ def test_options_of_files_are_for_files(arguments: list[str]) -> None:
 def test_a_kind_of_context_is_found_by_its_column(source: Path) -> None:
     """Text is an indicator."""
     assert PushFile(source).kind() is ContextKind.INDICATOR
+
+
+def test_a_missing_extra_is_told_in_one_line(tmp_path: Path, registry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what to install."""
+    monkeypatch.setitem(sys.modules, "ray", None)
+    target = tmp_path / "out.parquet"
+    pq.write_table(table(5), tmp_path / "in.parquet")
+    arguments = ["predict", "--parquet", str(tmp_path / "in.parquet"), str(target), "--registry", str(registry)]
+    without_ray = CliRunner().invoke(main, [*arguments, "--ray", "auto"])
+    assert without_ray.stderr == "Error: --ray needs the extra 'ray': pip install 'cazsl[ray]'\n"
+    monkeypatch.setitem(sys.modules, "service.bulk_prediction", None)
+    without_pyarrow = CliRunner().invoke(main, arguments)
+    assert without_pyarrow.stderr == "Error: --parquet needs the extra 'parquet': pip install 'cazsl[parquet]'\n"
+    assert not target.exists()
