@@ -27,7 +27,8 @@
     │   └── InUseError                 500  an alias names it; nothing was removed
     ├── PredictionError                500  the runtime failed, or gave what no model may give
     ├── SettingsError                       the operator set what is no setting, or cannot be (command line only)
-    └── DataError                           pushes on disk cannot be trained on (trainer only)
+    ├── DataError                           pushes on disk cannot be used, or results not be written (command line only)
+    └── WorkforceError                      bulk work has nobody to do it: no Ray, or workers lost (command line only)
 
 Each class carries a stable ``code``, an HTTP ``status`` and the words a client needs: what was received, what is
 accepted, and where. Messages never hold a path of the server, a traceback, or the body that was sent.
@@ -77,6 +78,10 @@ class InvalidRequestError(RequestError):
     def __init__(self, faults: Sequence[FieldFault]) -> None:
         self.faults = tuple(faults)
         super().__init__("; ".join(str(fault) for fault in self.faults))
+
+    def __reduce__(self) -> tuple[type["InvalidRequestError"], tuple[tuple[FieldFault, ...]]]:
+        """Travel between processes with the faults: an exception would by itself travel with its text."""
+        return type(self), (self.faults,)
 
 
 class InvalidImageError(InvalidRequestError):
@@ -289,7 +294,14 @@ class SettingsError(CazslError):
 
 
 class DataError(CazslError):
-    """Pushes on disk cannot be read or trained on; the message names the file and what was expected."""
+    """Pushes on disk cannot be read or used; the message names the file and what was expected."""
 
     code = "data"
     title = "The data cannot be used"
+
+
+class WorkforceError(CazslError):
+    """Bulk work has nobody to do it: what it needs is not installed, no cluster answers, or its workers were lost."""
+
+    code = "workforce"
+    title = "Nobody can do the work"

@@ -127,7 +127,7 @@ class PredictRequest(Prediction):
             if -REACH_M <= x <= REACH_M and -REACH_M <= y <= REACH_M:
                 return np.array([[x, y, wrap_angle(angle)]])
             name, value = ("x", x) if abs(x) > REACH_M else ("y", y)
-            raise InvalidRequestError([_unreachable(f"body.pusher.{name}", value)])
+            raise InvalidRequestError([unreachable(f"body.pusher.{name}", value)])
         return _reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), objects), "body.pusher")
 
 
@@ -263,10 +263,11 @@ def _reachable(poses: DoubleArray, where: str, most_m: float = REACH_M) -> Doubl
     far = np.abs(poses[:, :2]) > most_m
     if far.any():
         row, column = (int(place) for place in np.argwhere(far)[0])
-        raise InvalidRequestError([_unreachable(f"{where}.{row}", float(poses[row, column]), most_m)])
+        raise InvalidRequestError([unreachable(f"{where}.{row}", float(poses[row, column]), most_m)])
     poses[:, 2] = wrap_angles(poses[:, 2])
     return poses
 
 
-def _unreachable(where: str, value_m: float, most_m: float = REACH_M) -> FieldFault:
+def unreachable(where: str, value_m: float, most_m: float = REACH_M) -> FieldFault:
+    """The fault of a push that is further out than that along an axis."""
     return FieldFault(where, f"{value_m:.6g} m", f"-{most_m:g} to {most_m:g} m along each of the object's axes")

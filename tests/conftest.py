@@ -1,8 +1,11 @@
 """Options and fixtures of all tests."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.clusters import ENVIRONMENT, TwoNodes
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -16,3 +19,21 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def project_root() -> Path:
     """The checkout."""
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def ray_cluster() -> Iterator[TwoNodes]:
+    """A Ray cluster for all tests that want one."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in ENVIRONMENT.items():
+            patch.setenv(name, value)
+        cluster = TwoNodes()
+        yield cluster
+        cluster.close()
+
+
+@pytest.fixture
+def two_nodes(ray_cluster: TwoNodes) -> TwoNodes:
+    """That cluster with both its nodes; a test may kill one."""
+    ray_cluster.complete()
+    return ray_cluster

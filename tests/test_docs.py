@@ -81,7 +81,13 @@ def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
         for code in re.findall(r"`(\w+)`", codes)
     }
     known = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, errors.CazslError)]
-    inner = {errors.RequestError, errors.UnavailableError, errors.DataError, errors.SettingsError}
+    inner = {
+        errors.RequestError,
+        errors.UnavailableError,
+        errors.DataError,
+        errors.SettingsError,
+        errors.WorkforceError,
+    }
     for kind in known:
         if kind not in inner and not issubclass(kind, errors.RegistryError):
             assert (int(kind.status), kind.code) in table, kind

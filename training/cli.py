@@ -1,14 +1,17 @@
 """``cazsl-train``: simulate pushes, draw views, fit a recipe, evaluate it, publish it, reproduce the paper."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import click
+import torch
 
 import service
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import NOWHERE, Registry
+from service.workforce import gather
 from training import export, fit, images, recipes, reproduction
 from training.command_errors import mend
 from training.data_cli import data
@@ -169,6 +172,8 @@ def publish(
     show_default=True,
     help="A folder with a folder per experiment.",
 )
+@click.option("--jobs", type=click.IntRange(1), help="Runs at once. [default: one per core; one where there is a GPU]")
+@click.option("--ray", "ray_address", metavar="ADDRESS", help="Train on this Ray cluster instead: HOST:PORT, or auto.")
 @data_option
 @views_option
 @mend
@@ -179,6 +184,8 @@ def reproduce(
     seeds: int | None,
     skip: tuple[str, ...],
     out: Path,
+    jobs: int | None,
+    ray_address: str | None,
     folder: Path,
     views: Path | None,
 ) -> None:
@@ -192,21 +199,35 @@ def reproduce(
 
     Each writes README.md, figures.json and a plot into its folder, and a run folder per row and seed. Interrupted, it
     goes on where it stopped when it is started again. To try it: --epochs 100 --seeds 1 --out runs/trial
+
+    A run takes one core, wherever that is, and its figures are the same: --jobs says how many at once here, --ray
+    ADDRESS (extra 'ray') has a cluster do them. A run whose node dies is done again on another; all that is finished
+    lies in --out on this machine.
     """
     if everything == bool(names):
         raise click.UsageError(f"give one or more of {', '.join(EXPERIMENTS)}, or --all")
+    if jobs is not None and ray_address is not None:
+        raise click.UsageError("--jobs counts runs on this machine; give either that or --ray")
+    workforce = gather(jobs or _cores(), ray_address)
     from training import report  # matplotlib is slow to load, and no other command of training needs it
 
     for name in EXPERIMENTS if everything else names:
         experiment = experiments()[name].without(skip)
         rounds, runs = epochs or experiment.epochs, seeds or experiment.seeds
         read = reproduction.data_reader(experiment, folder, views)
-        results = reproduction.reproduce(experiment, read, out / name, runs, rounds)
+        results = reproduction.reproduce(experiment, read, out / name, runs, rounds, workforce=workforce)
         command = f"cazsl-train reproduce {name} --epochs {rounds} --seeds {runs} --out {out}"
         command += "".join(f" --skip '{method}'" for method in skip)
         command += "" if name == GAUSSIAN_PROCESS else _data_words(folder, views)
         path = report.write_report(report.Reproduction(experiment, results, runs, rounds, command), out / name)
         click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")
+
+
+def _cores() -> int:
+    """How many runs fit this machine: one on each core, or one on its GPU."""
+    if torch.cuda.is_available():
+        return 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _data_words(folder: Path, views: Path | None) -> str:

@@ -311,6 +311,22 @@ def test_reproduce_wants_names_or_all(arguments: tuple[str, ...]) -> None:
     assert "gaussian-process, different-objects, different-surfaces, different-weights, or --all" in result.stderr
 
 
+def test_reproduce_is_done_here_or_on_a_cluster() -> None:
+    """Not both."""
+    result = cazsl_train("reproduce", "gaussian-process", "--jobs", "2", "--ray", "auto")
+
+    assert result.exit_code == 2
+    assert "give either that or --ray" in result.stderr
+
+
+def test_reproduce_on_a_cluster_that_is_not_there_is_one_line(data_folder: Path, tmp_path: Path) -> None:
+    """With what would be accepted."""
+    options = ("--seeds", "1", "--data", data_folder, "--out", tmp_path / "out", "--skip", "ANP")
+    line = sole_line(cazsl_train("reproduce", "gaussian-process", "--ray", "127.0.0.1:1", *options))
+
+    assert "--ray: received 127.0.0.1:1, where no Ray cluster answers; accepted is" in line
+
+
 def test_reproduce_of_an_unknown_experiment_lists_those_that_exist() -> None:
     """The names that would have worked."""
     result = cazsl_train("reproduce", "different-planets")

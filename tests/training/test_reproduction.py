@@ -8,6 +8,8 @@ import pytest
 
 from service.contract import ContextKind
 from service.errors import DataError
+from service.workforce import LocalCores, Workforce
+from tests.clusters import LosesNode, TwoNodes
 from training.data import Pushes
 from training.evaluate import evaluate
 from training.experiments import Cell, Experiment, experiments
@@ -123,3 +125,75 @@ def test_each_repeat_of_the_regression_draws_its_own_processes() -> None:
 
     assert read(first, 0) is read(other, 0)
     assert read(first, 0).origin != read(first, 1).origin
+
+
+@pytest.fixture(scope="module")
+def alone(small: Experiment, viewed_pushes: Pushes, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The runs of two seeds, trained by this process; not to be changed."""
+    folder = tmp_path_factory.mktemp("alone")
+    reproduce(small, Reader(viewed_pushes), folder, seeds=2, epochs=2, quiet=True)
+    return folder
+
+
+def measured(small: Experiment, pushes: Pushes, folder: Path, workforce: Workforce | None = None) -> list[object]:
+    """Figures of two seeds, without what their training took."""
+    results = reproduce(small, Reader(pushes), folder, seeds=2, epochs=2, quiet=True, workforce=workforce)
+    return [replace(result, cost={}) for result in results]
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Every file of every run that is the seed's alone: not what it took, nor a checkpoint, which says so as well."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in (COST_FILE, CHECKPOINT_FILE)
+    }
+
+
+def test_processes_make_the_same_runs_to_the_bit(
+    small: Experiment, viewed_pushes: Pushes, alone: Path, tmp_path: Path
+) -> None:
+    """Figures, weights and records, in the same order."""
+    found = measured(small, viewed_pushes, tmp_path, LocalCores(2))
+
+    assert found == measured(small, viewed_pushes, alone)
+    assert files(tmp_path) == files(alone)
+
+
+def test_a_cluster_that_loses_a_node_makes_the_same_runs_to_the_bit(
+    small: Experiment, viewed_pushes: Pushes, alone: Path, two_nodes: TwoNodes, tmp_path: Path
+) -> None:
+    """Half-way, while both nodes train; the folders come home whole, and nothing is left to do."""
+    (tmp_path / "marks").mkdir()
+    workforce = LosesNode(two_nodes, tmp_path / "marks", held=4)
+    found = measured(small, viewed_pushes, tmp_path / "out", workforce)
+
+    assert workforce.done_twice() == 1
+    assert found == measured(small, viewed_pushes, alone)
+    assert files(tmp_path / "out") == files(alone)
+    before = {path: path.read_bytes() for path in (tmp_path / "out").rglob(COST_FILE)}
+    assert len(before) == 8
+    assert measured(small, viewed_pushes, tmp_path / "out") == found
+    assert {path: path.read_bytes() for path in before} == before
+
+
+def test_a_run_that_fails_is_named(small: Experiment, viewed_pushes: Pushes, tmp_path: Path) -> None:
+    """Set-up, row and seed, whoever trained it."""
+    killed = tmp_path / CELLS / "different-objects" / "fcn" / "seed-0"
+    killed.mkdir(parents=True)
+    (killed / "config.json").write_text("{}", encoding="utf-8")
+
+    with pytest.raises(DataError, match=r"^different-objects, fcn, seed 0: .* records another run"):
+        measured(small, viewed_pushes, tmp_path, LocalCores(2))
+
+
+def test_what_nobody_foresaw_names_the_run_too(small: Experiment, viewed_pushes: Pushes, tmp_path: Path) -> None:
+    """The error is seen whole, with a note."""
+    killed = tmp_path / CELLS / "different-objects" / "fcn" / "seed-0"
+    killed.mkdir(parents=True)
+    (killed / CHECKPOINT_FILE).write_bytes(b"torn")
+
+    with pytest.raises(Exception) as caught:  # noqa: PT011  # torch's own, whatever it is
+        measured(small, viewed_pushes, tmp_path)
+
+    assert caught.value.__notes__ == ["while training different-objects, fcn, seed 0"]
