@@ -44,26 +44,51 @@ _NO_ENCODING: Final = "header Content-Encoding: received a compressed body; acce
 _IMAGE_PART: Final[dict[str, Any]] = {
     "image": {"type": "string", "format": "binary", "description": "PNG, JPEG or WebP of the object from above"}
 }
-_PUSH_PARTS: Final[dict[str, Any]] = {
-    "pusher": {
+
+
+def _form(fields: dict[str, Any], rules: dict[str, Any]) -> dict[str, Any]:
+    """A form with an image in the OpenAPI document; such routes read bytes, so FastAPI knows of none."""
+    schema = {
+        "type": "object",
+        "properties": _IMAGE_PART | fields,
+        "required": ["image"],
+        "additionalProperties": False,
+        **rules,
+    }
+    return {"schema": schema, "encoding": {"image": {"contentType": ", ".join(IMAGE_TYPES)}}}
+
+
+def _rows(name: str) -> dict[str, Any]:
+    """Rows as one part of a form; a list would be a part each."""
+    rows = {"$ref": f"#/components/schemas/BatchRequest/properties/{name}"}
+    description = f"JSON of {name} in /v1/predict/batch"
+    return {
         "type": "string",
-        "description": "JSON, as in /v1/predict",
-        "example": '{"x": -0.07, "y": 0, "angle": 0}',
+        "contentMediaType": "application/json",
+        "contentSchema": rows,
+        "description": description,
+        "examples": ["[[-0.075, 0.0, 0.0]]" if name == "pushers" else "[[0.0, 0.0, 0.0]]"],
+    }
+
+
+_PUSH_FORM: Final = _form(
+    {
+        "pusher": {"$ref": "#/components/schemas/PusherBody"},
+        "object_pose": {"$ref": "#/components/schemas/ObjectPoseBody"},
+        "pushers": _rows("pushers"),
+        "object_poses": _rows("object_poses"),
+        "model": {"$ref": "#/components/schemas/PredictRequest/properties/model"},
     },
-    "pushers": {"type": "string", "description": "or JSON, as in /v1/predict/batch", "example": "[[-0.075, 0, 0]]"},
-    "object_pose": {"type": "string", "description": "JSON, beside pusher", "example": '{"x": 0, "y": 0, "angle": 0}'},
-    "object_poses": {"type": "string", "description": "JSON, beside pushers", "example": "[[0, 0, 0]]"},
-    "model": {"type": "string", "description": "as in /v1/predict", "example": "push-visual"},
+    {
+        "oneOf": [{"required": ["pusher"]}, {"required": ["pushers"]}],
+        "dependentRequired": {"object_pose": ["pusher"], "object_poses": ["pushers"]},
+    },
+)
+_PUSH_UPLOAD: Final = {"requestBody": {"required": True, "content": {FORM_TYPE: _PUSH_FORM}}}
+_FILE: Final = {"schema": {"type": "string", "format": "binary"}}
+_IMAGE_UPLOAD: Final = {
+    "requestBody": {"required": True, "content": {FORM_TYPE: _form({}, {}), **dict.fromkeys(IMAGE_TYPES, _FILE)}}
 }
-
-
-def _form(parts: dict[str, Any], *, also_images: bool = False) -> dict[str, Any]:
-    """A form in the OpenAPI document; such routes read bytes, so FastAPI knows of none."""
-    schema = {"type": "object", "properties": parts, "required": ["image"], "additionalProperties": False}
-    content: dict[str, Any] = {FORM_TYPE: {"schema": schema}}
-    if also_images:
-        content |= {kind: {"schema": {"type": "string", "format": "binary"}} for kind in IMAGE_TYPES}
-    return {"requestBody": {"required": True, "content": content}}
 
 
 class StrictJsonRequest(Request):
@@ -147,7 +172,7 @@ async def predict_many(request: Request, body: BatchRequest) -> Response:
     summary="The same for the object in an image",
     response_model=PredictResponse | BatchResponse,
     responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
-    openapi_extra=_form({**_IMAGE_PART, **_PUSH_PARTS}),
+    openapi_extra=_PUSH_UPLOAD,
 )
 async def predict_image(request: Request) -> Response:
     """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
@@ -164,7 +189,7 @@ async def predict_image(request: Request) -> Response:
     tags=["predict"],
     summary="What does a model see of this image?",
     responses=_problems(400, 406, 408, 413, 415, 422, 429, 503),
-    openapi_extra=_form(_IMAGE_PART, also_images=True),
+    openapi_extra=_IMAGE_UPLOAD,
 )
 async def make_context(request: Request) -> VisualContextBody:
     """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
