@@ -3,13 +3,23 @@
 Requests are read by ``tensors``, which says the same in its own words; their bodies here are for the document.
 """
 
+import base64
 from typing import Annotated, Any, Final, Literal
 
+import numpy as np
 from pydantic import ConfigDict, Field
 
 from service.schemas import Body
-from service.tensors import LARGEST_RANK, MAX_ROWS, Parameters
+from service.tensors import LARGEST_RANK, MAX_ROWS, Parameters, render
 
+_RAW_EXAMPLE, _ = render(
+    {"model_name": "push-indicator", "model_version": "1"},
+    {"mean": np.array([[0.021, 0.001, 0.03]], dtype=np.float32)},
+    frozenset(["mean"]),
+)
+RAW_ANSWER: Final = {  # a document in JSON has no other way to show bytes
+    "externalValue": "data:application/octet-stream;base64," + base64.b64encode(_RAW_EXAMPLE).decode()
+}
 _OPEN: Final = ConfigDict(extra="ignore")
 _PUSHER_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]}
 _OUTPUT_EXAMPLE: Final = {"name": "mean", "datatype": "FP32", "shape": [1, 3], "data": [0.021, 0.001, 0.03]}

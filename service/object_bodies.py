@@ -13,7 +13,11 @@ from service.errors import FieldFault, InvalidRequestError
 from service.images import decode, quality_flags, thumbnail_png, visual_context
 from service.schemas import Body, VisualContextBody
 
-_INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
+    "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
+    "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
+)
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
 # for the document only: our own words say which side is wrong, and why
 _DESCRIPTOR: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
@@ -59,7 +63,7 @@ class ContextBody(Body):
             min_length=INDICATOR_LENGTH,
             max_length=INDICATOR_LENGTH,
             description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
-            examples=[_INDICATOR_EXAMPLE],
+            examples=[INDICATOR_EXAMPLE],
             json_schema_extra=_INDICATOR,
         ),
     ] = None
@@ -78,7 +82,7 @@ class ContextBody(Body):
         Field(
             description="base64 of a top-down view as PNG, JPEG or WebP, converted to the visual context; POST "
             "/v1/predict/image takes the file as it is",
-            examples=["iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAADElEQVR4nGNgGLkAAAQgAAE7AAEAAAAASUVORK5CYII="],
+            examples=[IMAGE_EXAMPLE],
             json_schema_extra={"contentEncoding": "base64"},
         ),
     ] = None

@@ -12,9 +12,25 @@ from pydantic.config import JsonDict
 
 import service
 from service.access import readiness_of, respond, snapshot_of, workers_of
-from service.errors import ModelNotReadyError
+from service.documented_requests import INFERENCE
+from service.errors import (
+    BodyTooLargeError,
+    CazslError,
+    DeadlineError,
+    InvalidRequestError,
+    MalformedBodyError,
+    ModelNotReadyError,
+    OverloadedError,
+    PredictionError,
+    SlowBodyError,
+    TooManyRequestsError,
+    UnknownModelError,
+    UnsupportedMediaTypeError,
+)
+from service.examples import protocol_errors
 from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer, inflate, parse_reference
 from service.inference_bodies import (
+    RAW_ANSWER,
     ErrorBody,
     InferRequestBody,
     InferResponseBody,
@@ -36,8 +52,19 @@ Name = Annotated[str, Path(description="a model, or model@alias", examples=["pus
 Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
 
 
-def _errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    return {status: {"description": "an error, as the protocol has it", "model": ErrorBody} for status in statuses}
+_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
+_NAMED: Final = (InvalidRequestError, UnknownModelError, *_AT_ONCE)
+_INFERRED: Final = (
+    MalformedBodyError,
+    SlowBodyError,
+    BodyTooLargeError,
+    UnsupportedMediaTypeError,
+    PredictionError,
+    CazslError,
+    ModelNotReadyError,
+    DeadlineError,
+    *_NAMED,
+)
 
 
 _INFER_BODY: Final = {
@@ -46,16 +73,23 @@ _INFER_BODY: Final = {
         "description": "JSON; or, with the header Inference-Header-Content-Length, that many bytes of JSON and behind "
         "them the tensors that have a binary_data_size, little-endian, in the order of the JSON. May come compressed, "
         "as gzip or deflate.",
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/InferRequestBody"}}},
+        "content": {
+            "application/json": {"schema": {"$ref": "#/components/schemas/InferRequestBody"}, "examples": INFERENCE}
+        },
     }
 }
 _INFER_RESPONSES: Final = {
     200: {
         "description": "JSON; or, when an output was asked for as raw bytes, JSON of as many bytes as the header "
         "Inference-Header-Content-Length says, and the bytes behind it",
-        "content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+        "content": {
+            "application/octet-stream": {
+                "schema": {"type": "string", "format": "binary"},
+                "examples": {"mean": {"summary": "mean, as raw bytes"} | RAW_ANSWER},
+            }
+        },
     },
-    **_errors(400, 404, 408, 413, 415, 429, 500, 503),
+    **protocol_errors(ErrorBody, *_INFERRED),
 }
 
 health = APIRouter(tags=["open inference"])
@@ -68,7 +102,11 @@ async def live() -> ServerLiveBody:
     return ServerLiveBody()
 
 
-@health.get("/v2/health/ready", summary="Can any model be asked?", responses=_errors(503))
+@health.get(
+    "/v2/health/ready",
+    summary="Can any model be asked?",
+    responses=protocol_errors(ErrorBody, ModelNotReadyError, *_AT_ONCE),
+)
 async def ready(request: Request) -> ServerReadyBody:
     """200 while a model that passed all its checks answers, else 503."""
     reason = readiness_of(request).reason()
@@ -83,26 +121,38 @@ async def server() -> ServerBody:
     return ServerBody(version=service.__version__, extensions=["binary_tensor_data"])
 
 
-@router.get("/v2/models/{name}", summary="A model's tensors", responses=_errors(400, 404))
+@router.get(
+    "/v2/models/{name}", summary="A model's tensors", responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError)
+)
 async def model_metadata(request: Request, name: Name) -> ModelMetadataBody:
     """Names, types and shapes of inputs and outputs of the champion, and the versions that are served."""
     return _metadata(request, name, None)
 
 
-@router.get("/v2/models/{name}/versions/{version}", summary="A version's tensors", responses=_errors(400, 404))
+@router.get(
+    "/v2/models/{name}/versions/{version}",
+    summary="A version's tensors",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
+)
 async def version_metadata(request: Request, name: Name, version: Version) -> ModelMetadataBody:
     """Names, types and shapes of inputs and outputs, and the versions that are served."""
     return _metadata(request, name, version)
 
 
-@router.get("/v2/models/{name}/ready", summary="Can this model be asked?", responses=_errors(400, 404, 503))
+@router.get(
+    "/v2/models/{name}/ready",
+    summary="Can this model be asked?",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
+)
 async def model_ready(request: Request, name: Name) -> ModelReadyBody:
     """200 when its champion is loaded, passed its checks and answers."""
     return _ready(request, name, None)
 
 
 @router.get(
-    "/v2/models/{name}/versions/{version}/ready", summary="Can this version be asked?", responses=_errors(400, 404, 503)
+    "/v2/models/{name}/versions/{version}/ready",
+    summary="Can this version be asked?",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
 )
 async def version_ready(request: Request, name: Name, version: Version) -> ModelReadyBody:
     """200 when it is loaded, passed its checks and answers; a version that is not served is not there."""

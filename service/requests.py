@@ -8,7 +8,7 @@ import itertools
 from typing import Annotated, Final
 
 import numpy as np
-from pydantic import ConfigDict, FailFast, Field
+from pydantic import FailFast, Field
 from pydantic.config import JsonDict
 
 from service.contract import IndexArray, wrap_angle
@@ -92,14 +92,6 @@ class Prediction(Body):
 class PredictRequest(Prediction):
     """One push of one object: straight, at constant speed, 50 mm."""
 
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}},
-            ]
-        },
-    )
-
     pusher: PusherBody
     context: Annotated[
         ContextBody | None,
@@ -151,22 +143,6 @@ Place = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUS
 
 class BatchRequest(Prediction):
     """Many pushes, of one object or of many, in columns."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]],
-                    "contexts": [{"descriptor": "1a2b3c4a"}],
-                },
-                {
-                    "pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708], [0.0, 0.075, -1.5708]],
-                    "contexts": [{"descriptor": "1a2b3c4a"}, {"descriptor": "4a4a4a4a"}],
-                    "context_index": [0, 1, 0],
-                },
-            ]
-        },
-    )
 
     pushers: Annotated[
         list[Row],

@@ -76,8 +76,15 @@ def mean_an_object(context: Json) -> str:
     return KINDS[form]
 
 
+def mean_a_file(body: Json) -> None:
+    """A real picture where the name of a file stands for one, as in an example."""
+    if type(body["image"]) is str:
+        body["image"] = picture(body["image"])
+
+
 def mean_an_upload(body: Json) -> None:
     """One push or many in reach, asked of a visual model; forms with a file are drawn without a look at ``oneOf``."""
+    mean_a_file(body)
     push: Json
     if "pushers" in body:
         push = {name: _rows(body[name]) for name in ("pushers", "object_poses") if name in body}

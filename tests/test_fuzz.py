@@ -26,6 +26,7 @@ from service.settings import Settings
 from service.uploads import FORM_TYPE, IMAGE_TYPES
 from tests.meaning import (
     is_lost_in_a_form,
+    mean_a_file,
     mean_an_inference,
     mean_an_upload,
     mean_many_pushes,
@@ -56,6 +57,7 @@ MEANINGS: dict[str, Callable[[dict[str, Any]], None]] = {
     "/v1/predict": mean_one_push,
     "/v1/predict/batch": mean_many_pushes,
     "/v1/predict/image": mean_an_upload,
+    "/v1/contexts": mean_a_file,
     "/v2/models/{name}/infer": mean_an_inference,
     "/v2/models/{name}/versions/{version}/infer": mean_an_inference,
 }
