@@ -1,6 +1,6 @@
 """What our service gives beside others: single pushes, batches, pushes while images are decoded, start and memory.
 
-    python benchmarks/serving.py [--rounds 7] [--seconds 2] [--peer litserve=PYTHON] [--peer robyn=PYTHON]
+    python benchmarks/serving.py [--rounds 7] [--seconds 2] [--peer litserve=PYTHON] [--peer mlserver=PYTHON] ...
 
 All servers run at once on loopback, one process each (whatever that process starts is counted with it), and are asked
 in turn, round by round, with wrk: a machine whose speed drifts, drifts for all. Printed are medians over the rounds,
@@ -295,14 +295,15 @@ def start(rounds: int) -> None:
 
 def main() -> None:
     """Measure and print."""
+    peers = ROOT / "benchmarks" / "peers"
+    known = sorted(path.name.removesuffix("_peer.py") for path in peers.glob("*_peer.py"))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=int, default=2, help="length of one run of wrk")
     parser.add_argument("--rounds", type=int, default=7, help="runs of each")
-    parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON", help="litserve or robyn")
+    parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON", help=f"one of {', '.join(known)}")
     options = parser.parse_args()
     if shutil.which("wrk") is None:
         raise SystemExit("wrk is not installed; apt-get install wrk")
-    peers = ROOT / "benchmarks" / "peers"
     commands = {
         "ours": [sys.executable, *OURS],
         "(a) empty FastAPI endpoint, same schemas": [sys.executable, str(peers / "empty_fastapi.py")],
@@ -311,6 +312,8 @@ def main() -> None:
     }
     for peer in options.peer:
         name, _, python = peer.partition("=")
+        if name not in known or not python:
+            raise SystemExit(f"--peer: received {peer!r}; accepted is NAME=PYTHON, NAME one of {', '.join(known)}")
         commands[name] = [python, str(peers / f"{name}_peer.py")]
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
         folder, servers = Path(temporary), {}

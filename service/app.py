@@ -13,14 +13,17 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 import service
 from service import monitoring, open_inference, routes
 from service.access import may_predict
-from service.errors import CazslError
+from service.errors import CazslError, ForbiddenError, MissingKeyError
+from service.examples import give_examples, problems, protocol_errors
 from service.fast_path import FastPath
+from service.inference_bodies import ErrorBody
 from service.intake import Intake, IntakeLimits
 from service.keys import Keys
 from service.loaded_models import LoadedModels
 from service.metrics import RequestMetrics, exposition
 from service.problems import install_problem_handlers, problem_response, state_media_type
 from service.readiness import Readiness
+from service.schemas import ProblemBody
 from service.settings import Settings
 from service.telemetry import RequestLog, RequestTelemetry
 from service.vitals import vitals
@@ -57,7 +60,7 @@ class Service(FastAPI):
 
     def openapi(self) -> dict[str, Any]:
         """The document, made once."""
-        return open_inference.describe_infer(state_media_type(super().openapi()))
+        return give_examples(open_inference.describe_infer(state_media_type(super().openapi())))
 
 
 def create_app(
@@ -107,13 +110,14 @@ def create_app(
     app.state.keys = keys
     app.state.readiness = readiness
     guard = [Depends(may_predict)] if keys.wanted else []
+    refusals = (MissingKeyError, ForbiddenError) if keys.wanted else ()
     app.include_router(routes.health)
-    app.include_router(routes.router, dependencies=guard)
-    app.include_router(routes.uploads, dependencies=guard)
+    app.include_router(routes.router, dependencies=guard, responses=problems(ProblemBody, *refusals))
+    app.include_router(routes.uploads, dependencies=guard, responses=problems(ProblemBody, *refusals))
     app.include_router(open_inference.health)
     if settings.metrics_port is None:
         app.include_router(monitoring.router)
-    app.include_router(open_inference.router, dependencies=guard)
+    app.include_router(open_inference.router, dependencies=guard, responses=protocol_errors(ErrorBody, *refusals))
     install_problem_handlers(app)
     fast_path = FastPath(app.framework, models, workers, keys)
     intake = Intake(fast_path, _limits(settings))

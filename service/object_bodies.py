@@ -3,22 +3,50 @@
 import base64
 import binascii
 import math
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
-from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
+from service.contract import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
 from service.errors import FieldFault, InvalidRequestError
 from service.images import decode, quality_flags, thumbnail_png, visual_context
 from service.schemas import Body, VisualContextBody
 
-_INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
+    "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
+    "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
+)
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
+# for the document only: our own words say which side is wrong, and why
+_DESCRIPTOR: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
+_INDICATOR: Final[dict[str, Any]] = {
+    "items": {"enum": [0, 1]},
+    "contains": {"const": 1},
+    "minContains": 2 * SIDES,
+    "maxContains": 2 * SIDES,
+}
+_VISUAL: Final[dict[str, Any]] = {  # the text's rules mean nothing to rows, and those of rows nothing to a text
+    "contentEncoding": "base64",
+    "pattern": f"^[A-Za-z0-9+/]{{{_VISUAL_TEXT_LENGTH - 2}}}==$",
+    "minItems": VISUAL_SIZE,
+    "maxItems": VISUAL_SIZE,
+    "items": {"minItems": VISUAL_SIZE, "maxItems": VISUAL_SIZE, "items": {"minimum": 0, "maximum": 1}},
+}
+
+
+def _one_form(schema: dict[str, Any]) -> None:
+    """Say in the document that exactly one of the fields is given, and is not null."""
+    schema["oneOf"] = [
+        {"required": [form], "properties": {form: {"not": {"type": "null"}}}} for form in schema["properties"]
+    ]
 
 
 class ContextBody(Body):
     """What is known of the object, in exactly one form."""
+
+    model_config = ConfigDict(json_schema_extra=_one_form)
 
     descriptor: Annotated[
         str | None,
@@ -26,6 +54,7 @@ class ContextBody(Body):
             description="four sides, each a shape digit (1 concave, 2 triangular, 3 circular, 4 rectangular) and a "
             "weight letter (a none, b 60 g, c 150 g; B 60 g, C 150 g in a triangle's second position)",
             examples=["1a2b3c4a"],
+            json_schema_extra=_DESCRIPTOR,
         ),
     ] = None
     indicator: Annotated[
@@ -34,7 +63,8 @@ class ContextBody(Body):
             min_length=INDICATOR_LENGTH,
             max_length=INDICATOR_LENGTH,
             description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
-            examples=[_INDICATOR_EXAMPLE],
+            examples=[INDICATOR_EXAMPLE],
+            json_schema_extra=_INDICATOR,
         ),
     ] = None
     visual: Annotated[
@@ -43,6 +73,7 @@ class ContextBody(Body):
             description="the visual context itself: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
             "in [0, 1]; POST /v1/contexts makes one of an image",
             examples=["AAAA" * (_VISUAL_TEXT_LENGTH // 4 - 1) + "AA=="],
+            json_schema_extra=_VISUAL,
         ),
     ] = None
 
@@ -51,7 +82,8 @@ class ContextBody(Body):
         Field(
             description="base64 of a top-down view as PNG, JPEG or WebP, converted to the visual context; POST "
             "/v1/predict/image takes the file as it is",
-            examples=["iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAADElEQVR4nGNgGLkAAAQgAAE7AAEAAAAASUVORK5CYII="],
+            examples=[IMAGE_EXAMPLE],
+            json_schema_extra={"contentEncoding": "base64"},
         ),
     ] = None
 

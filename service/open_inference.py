@@ -5,23 +5,44 @@ one that every known client reads: both ``live`` and ``ready`` in health, ``mode
 texts, errors as ``{"error": text}`` in plain ``application/json``.
 """
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Path, Request, Response
-from pydantic import Field
 from pydantic.config import JsonDict
 
 import service
 from service.access import readiness_of, respond, snapshot_of, workers_of
-from service.errors import ModelNotReadyError
+from service.documented_requests import INFERENCE
+from service.errors import (
+    BodyTooLargeError,
+    CazslError,
+    DeadlineError,
+    InvalidRequestError,
+    MalformedBodyError,
+    ModelNotReadyError,
+    OverloadedError,
+    PredictionError,
+    SlowBodyError,
+    TooManyRequestsError,
+    UnknownModelError,
+    UnsupportedMediaTypeError,
+)
+from service.examples import protocol_errors
 from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer, inflate, parse_reference
+from service.inference_bodies import (
+    RAW_ANSWER,
+    ErrorBody,
+    InferRequestBody,
+    InferResponseBody,
+    ModelMetadataBody,
+    ModelReadyBody,
+    ServerBody,
+    ServerLiveBody,
+    ServerReadyBody,
+    TensorBody,
+)
 from service.manifest import Tensor
-from service.schemas import Body
 from service.tensors import DATATYPES
-
-_PUSHER_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]}
-_OUTPUT_EXAMPLE: Final = {"name": "mean", "datatype": "FP32", "shape": [1, 3], "data": [0.021, 0.001, 0.03]}
-_METADATA_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [-1, 3]}
 
 _PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
 # for the document only: our own words say what is wrong with a name
@@ -31,128 +52,19 @@ Name = Annotated[str, Path(description="a model, or model@alias", examples=["pus
 Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
 
 
-class ErrorBody(Body):
-    """What went wrong, as the protocol has it."""
-
-    error: Annotated[
-        str,
-        Field(
-            description="what was received, what is accepted and where",
-            examples=["inputs pusher.shape: received another shape; accepted is [n (1 to 10000), 3]"],
-        ),
-    ]
-
-
-class ServerLiveBody(Body):
-    """The process answers."""
-
-    live: Annotated[Literal[True], Field(description="always true", examples=[True])] = True
-
-
-class ServerReadyBody(Body):
-    """Whether any model can be asked."""
-
-    live: Annotated[bool, Field(description="the protocol's word for ready", examples=[True])]
-    ready: Annotated[bool, Field(description="what some clients look for", examples=[True])]
-
-
-class ServerBody(Body):
-    """What serves."""
-
-    name: Annotated[str, Field(description="always cazsl", examples=["cazsl"])] = "cazsl"
-    version: Annotated[str, Field(description="of the service", examples=["0.1.0"])]
-    extensions: Annotated[
-        list[str], Field(description="parts of the protocol beyond its core", examples=[["binary_tensor_data"]])
-    ]
-
-
-class ModelReadyBody(Body):
-    """The model can be asked."""
-
-    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
-    ready: Annotated[Literal[True], Field(description="always true: otherwise the status is 404", examples=[True])] = (
-        True
-    )
-
-
-class TensorBody(Body):
-    """One tensor of a model."""
-
-    name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
-    datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
-    shape: Annotated[list[int], Field(description="-1 is free: n pushes or g objects", examples=[[-1, 3]])]
-
-
-class ModelMetadataBody(Body):
-    """A model as the protocol describes it."""
-
-    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
-    versions: Annotated[list[str], Field(description="versions served, oldest first", examples=[["1"]])]
-    platform: Annotated[str, Field(description="always onnx_onnxv1", examples=["onnx_onnxv1"])] = "onnx_onnxv1"
-    inputs: Annotated[
-        list[TensorBody],
-        Field(description="m, m, rad; context and context_index of the objects", examples=[[_METADATA_EXAMPLE]]),
-    ]
-    outputs: Annotated[list[TensorBody], Field(description="mean and std in m, m, rad", examples=[[_METADATA_EXAMPLE]])]
-
-
-class InferTensorBody(Body):
-    """A tensor with its numbers; as raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
-
-    name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
-    datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
-    shape: Annotated[list[int], Field(description="of this tensor", examples=[[1, 3]])]
-    parameters: Annotated[
-        dict[str, bool | int | float | str] | None,
-        Field(description="binary_data_size: its bytes behind the JSON", examples=[{"binary_data_size": 12}]),
-    ] = None
-    data: Annotated[
-        list[Any] | None, Field(description="row-major; nested or flat in a request", examples=[[-0.075, 0.0, 0.0]])
-    ] = None
-
-
-class OutputBody(Body):
-    """An output that is asked for."""
-
-    name: Annotated[str, Field(description="mean or std", examples=["mean"])]
-    parameters: Annotated[
-        dict[str, bool | int | float | str] | None,
-        Field(description="binary_data: as raw bytes", examples=[{"binary_data": False}]),
-    ] = None
-
-
-class InferRequestBody(Body):
-    """An inference request; fields and parameters that the protocol knows and we do not are left alone."""
-
-    id: Annotated[str | None, Field(max_length=256, description="comes back", examples=["42"])] = None
-    parameters: Annotated[
-        dict[str, bool | int | float | str] | None,
-        Field(description="binary_data_output: all outputs as raw bytes", examples=[{"binary_data_output": False}]),
-    ] = None
-    inputs: Annotated[
-        list[InferTensorBody],
-        Field(
-            description="pusher, and for models with context also context; context_index may be left out for one "
-            "object or one per push",
-            examples=[[_PUSHER_EXAMPLE]],
-        ),
-    ]
-    outputs: Annotated[
-        list[OutputBody] | None, Field(description="left out: mean and std", examples=[[{"name": "mean"}]])
-    ] = None
-
-
-class InferResponseBody(Body):
-    """An inference."""
-
-    model_name: Annotated[str, Field(description="which answered", examples=["push-indicator"])]
-    model_version: Annotated[str, Field(description="its version", examples=["1"])]
-    id: Annotated[str | None, Field(description="that of the request", examples=["42"])] = None
-    outputs: Annotated[list[InferTensorBody], Field(description="in the order asked for", examples=[[_OUTPUT_EXAMPLE]])]
-
-
-def _errors(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    return {status: {"description": "an error, as the protocol has it", "model": ErrorBody} for status in statuses}
+_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
+_NAMED: Final = (InvalidRequestError, UnknownModelError, *_AT_ONCE)
+_INFERRED: Final = (
+    MalformedBodyError,
+    SlowBodyError,
+    BodyTooLargeError,
+    UnsupportedMediaTypeError,
+    PredictionError,
+    CazslError,
+    ModelNotReadyError,
+    DeadlineError,
+    *_NAMED,
+)
 
 
 _INFER_BODY: Final = {
@@ -161,10 +73,24 @@ _INFER_BODY: Final = {
         "description": "JSON; or, with the header Inference-Header-Content-Length, that many bytes of JSON and behind "
         "them the tensors that have a binary_data_size, little-endian, in the order of the JSON. May come compressed, "
         "as gzip or deflate.",
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/InferRequestBody"}}},
+        "content": {
+            "application/json": {"schema": {"$ref": "#/components/schemas/InferRequestBody"}, "examples": INFERENCE}
+        },
     }
 }
-_INFER_ERRORS: Final = _errors(400, 404, 408, 413, 415, 429, 500, 503)
+_INFER_RESPONSES: Final = {
+    200: {
+        "description": "JSON; or, when an output was asked for as raw bytes, JSON of as many bytes as the header "
+        "Inference-Header-Content-Length says, and the bytes behind it",
+        "content": {
+            "application/octet-stream": {
+                "schema": {"type": "string", "format": "binary"},
+                "examples": {"mean": {"summary": "mean, as raw bytes"} | RAW_ANSWER},
+            }
+        },
+    },
+    **protocol_errors(ErrorBody, *_INFERRED),
+}
 
 health = APIRouter(tags=["open inference"])
 router = APIRouter(tags=["open inference"])
@@ -176,7 +102,11 @@ async def live() -> ServerLiveBody:
     return ServerLiveBody()
 
 
-@health.get("/v2/health/ready", summary="Can any model be asked?", responses=_errors(503))
+@health.get(
+    "/v2/health/ready",
+    summary="Can any model be asked?",
+    responses=protocol_errors(ErrorBody, ModelNotReadyError, *_AT_ONCE),
+)
 async def ready(request: Request) -> ServerReadyBody:
     """200 while a model that passed all its checks answers, else 503."""
     reason = readiness_of(request).reason()
@@ -191,26 +121,38 @@ async def server() -> ServerBody:
     return ServerBody(version=service.__version__, extensions=["binary_tensor_data"])
 
 
-@router.get("/v2/models/{name}", summary="A model's tensors", responses=_errors(400, 404))
+@router.get(
+    "/v2/models/{name}", summary="A model's tensors", responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError)
+)
 async def model_metadata(request: Request, name: Name) -> ModelMetadataBody:
     """Names, types and shapes of inputs and outputs of the champion, and the versions that are served."""
     return _metadata(request, name, None)
 
 
-@router.get("/v2/models/{name}/versions/{version}", summary="A version's tensors", responses=_errors(400, 404))
+@router.get(
+    "/v2/models/{name}/versions/{version}",
+    summary="A version's tensors",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
+)
 async def version_metadata(request: Request, name: Name, version: Version) -> ModelMetadataBody:
     """Names, types and shapes of inputs and outputs, and the versions that are served."""
     return _metadata(request, name, version)
 
 
-@router.get("/v2/models/{name}/ready", summary="Can this model be asked?", responses=_errors(400, 404, 503))
+@router.get(
+    "/v2/models/{name}/ready",
+    summary="Can this model be asked?",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
+)
 async def model_ready(request: Request, name: Name) -> ModelReadyBody:
     """200 when its champion is loaded, passed its checks and answers."""
     return _ready(request, name, None)
 
 
 @router.get(
-    "/v2/models/{name}/versions/{version}/ready", summary="Can this version be asked?", responses=_errors(400, 404, 503)
+    "/v2/models/{name}/versions/{version}/ready",
+    summary="Can this version be asked?",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
 )
 async def version_ready(request: Request, name: Name, version: Version) -> ModelReadyBody:
     """200 when it is loaded, passed its checks and answers; a version that is not served is not there."""
@@ -221,7 +163,7 @@ async def version_ready(request: Request, name: Name, version: Version) -> Model
     "/v2/models/{name}/infer",
     summary="Ask a model: tensors in, tensors out",
     response_model=InferResponseBody,
-    responses=_INFER_ERRORS,
+    responses=_INFER_RESPONSES,
     openapi_extra=_INFER_BODY,
 )
 async def ask_model(request: Request, name: Name) -> Response:
@@ -233,7 +175,7 @@ async def ask_model(request: Request, name: Name) -> Response:
     "/v2/models/{name}/versions/{version}/infer",
     summary="Ask a version: tensors in, tensors out",
     response_model=InferResponseBody,
-    responses=_INFER_ERRORS,
+    responses=_INFER_RESPONSES,
     openapi_extra=_INFER_BODY,
 )
 async def ask_version(request: Request, name: Name, version: Version) -> Response:

@@ -147,5 +147,5 @@ def state_media_type(document: dict[str, Any]) -> dict[str, Any]:
             for response in operation["responses"].values():
                 content = response.get("content", {})
                 if content.get("application/json", {}).get("schema") == {"$ref": "#/components/schemas/ProblemBody"}:
-                    response["content"] = {MEDIA_TYPE: content["application/json"]}
+                    response["content"] = {MEDIA_TYPE: content.get(MEDIA_TYPE, {}) | content["application/json"]}
     return document

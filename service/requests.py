@@ -8,7 +8,8 @@ import itertools
 from typing import Annotated, Final
 
 import numpy as np
-from pydantic import ConfigDict, FailFast, Field
+from pydantic import FailFast, Field
+from pydantic.config import JsonDict
 
 from service.contract import IndexArray, wrap_angle
 from service.errors import FieldFault, InvalidRequestError
@@ -60,10 +61,14 @@ class ObjectPoseBody(Body):
     ]
 
 
+# for the document only, like the bounds of rows below: our own words say what is wrong
+_PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
+_REFERENCE: Final[JsonDict] = {"pattern": f"^{_PART}(@([a-z][a-z0-9_-]{{0,63}}|[1-9][0-9]{{0,8}}))?$"}
 Reference = Annotated[
     str | None,
     Field(
         max_length=140,
+        json_schema_extra=_REFERENCE,
         description="name, name@alias or name@version; left out: the champion for this kind of context",
         examples=["push-indicator", "push-indicator@champion", "push-indicator@1"],
     ),
@@ -86,14 +91,6 @@ class Prediction(Body):
 
 class PredictRequest(Prediction):
     """One push of one object: straight, at constant speed, 50 mm."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}},
-            ]
-        },
-    )
 
     pusher: PusherBody
     context: Annotated[
@@ -131,27 +128,21 @@ class PredictRequest(Prediction):
         return _reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), objects), "body.pusher")
 
 
-Row = Annotated[list[float], FailFast(), Field(min_length=_POSE_PARTS, max_length=_POSE_PARTS)]
+_ALONG: Final[JsonDict] = {"type": "number", "minimum": -WORLD_M, "maximum": WORLD_M}
+Row = Annotated[
+    list[float],
+    FailFast(),
+    Field(
+        min_length=_POSE_PARTS,
+        max_length=_POSE_PARTS,
+        json_schema_extra={"prefixItems": [_ALONG, _ALONG, {"type": "number"}]},
+    ),
+]
+Place = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUSHES - 1})]
 
 
 class BatchRequest(Prediction):
     """Many pushes, of one object or of many, in columns."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "examples": [
-                {
-                    "pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]],
-                    "contexts": [{"descriptor": "1a2b3c4a"}],
-                },
-                {
-                    "pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708], [0.0, 0.075, -1.5708]],
-                    "contexts": [{"descriptor": "1a2b3c4a"}, {"descriptor": "4a4a4a4a"}],
-                    "context_index": [0, 1, 0],
-                },
-            ]
-        },
-    )
 
     pushers: Annotated[
         list[Row],
@@ -176,7 +167,7 @@ class BatchRequest(Prediction):
         ),
     ] = None
     context_index: Annotated[
-        list[int] | None,
+        list[Place] | None,
         FailFast(),
         Field(
             min_length=1,

@@ -11,7 +11,28 @@ from pydantic import ValidationError
 
 from service.access import may_predict, readiness_of, respond, snapshot_of, takes_json, workers_of
 from service.catalogue import model_body, models_body, version_body
-from service.errors import MalformedBodyError, UnsupportedMediaTypeError
+from service.documented_requests import IMAGE_UPLOAD, MANY_PUSHES, ONE_PUSH, PUSH_UPLOAD
+from service.errors import (
+    BodyTooLargeError,
+    CazslError,
+    ContextKindError,
+    DeadlineError,
+    FieldFault,
+    ImageTooLargeError,
+    InvalidImageError,
+    InvalidRequestError,
+    MalformedBodyError,
+    ModelNotReadyError,
+    NotAcceptableError,
+    OverloadedError,
+    PredictionError,
+    SlowBodyError,
+    TooManyRequestsError,
+    UnknownModelError,
+    UnsupportedImageError,
+    UnsupportedMediaTypeError,
+)
+from service.examples import problems
 from service.loaded_models import Snapshot
 from service.object_bodies import describe_image
 from service.predictions import Answer, is_light, predict_batch, predict_one, predict_upload
@@ -28,42 +49,45 @@ from service.schemas import (
     ReadyBody,
     VisualContextBody,
 )
-from service.uploads import FORM_TYPE, IMAGE_TYPES, Upload, read_upload
+from service.uploads import Upload, read_upload
 
 P = TypeVar("P", PredictRequest, BatchRequest)
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
 Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
 
 
-def _problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
-    """How the OpenAPI document describes failures."""
-    return {status: {"description": "a problem, see its code", "model": ProblemBody} for status in statuses}
-
-
+_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
+_UPLOADED: Final = (
+    MalformedBodyError,
+    NotAcceptableError,
+    SlowBodyError,
+    BodyTooLargeError,
+    ImageTooLargeError,
+    UnsupportedMediaTypeError,
+    UnsupportedImageError,
+    InvalidRequestError,
+    InvalidImageError,
+    DeadlineError,
+    *_AT_ONCE,
+)
+_BAD_NAME: Final = InvalidRequestError(
+    [FieldFault("path.name", "a text of 65 characters", "String should have at most 64 characters")]
+)
+_LOOKED_UP: Final = (UnknownModelError, NotAcceptableError, _BAD_NAME, *_AT_ONCE)
+_PREDICTED: Final = (*_UPLOADED, UnknownModelError, ContextKindError, ModelNotReadyError, PredictionError, CazslError)
 _NO_ENCODING: Final = "header Content-Encoding: received a compressed body; accepted is a plain one"
-_IMAGE_PART: Final[dict[str, Any]] = {
-    "image": {"type": "string", "format": "binary", "description": "PNG, JPEG or WebP of the object from above"}
+_NOTHING_YET: Final = ReadyBody(
+    ready=False,
+    reason="not ready, looking again every 2 s, because the registry holds no model",
+    checks=[],
+    models={},
+    problems=[],
+)
+_NOT_READY: Final[dict[str, Any]] = {
+    "description": "not now; the body says why",
+    "model": ReadyBody,
+    "content": {"application/json": {"example": _NOTHING_YET.model_dump()}},
 }
-_PUSH_PARTS: Final[dict[str, Any]] = {
-    "pusher": {
-        "type": "string",
-        "description": "JSON, as in /v1/predict",
-        "example": '{"x": -0.07, "y": 0, "angle": 0}',
-    },
-    "pushers": {"type": "string", "description": "or JSON, as in /v1/predict/batch", "example": "[[-0.075, 0, 0]]"},
-    "object_pose": {"type": "string", "description": "JSON, beside pusher", "example": '{"x": 0, "y": 0, "angle": 0}'},
-    "object_poses": {"type": "string", "description": "JSON, beside pushers", "example": "[[0, 0, 0]]"},
-    "model": {"type": "string", "description": "as in /v1/predict", "example": "push-visual"},
-}
-
-
-def _form(parts: dict[str, Any], *, also_images: bool = False) -> dict[str, Any]:
-    """A form in the OpenAPI document; such routes read bytes, so FastAPI knows of none."""
-    schema = {"type": "object", "properties": parts, "required": ["image"], "additionalProperties": False}
-    content: dict[str, Any] = {FORM_TYPE: {"schema": schema}}
-    if also_images:
-        content |= {kind: {"schema": {"type": "string", "format": "binary"}} for kind in IMAGE_TYPES}
-    return {"requestBody": {"required": True, "content": content}}
 
 
 class StrictJsonRequest(Request):
@@ -122,7 +146,8 @@ health = APIRouter()
     tags=["predict"],
     summary="Where does this object end up after this push, and how sure is that?",
     response_model=PredictResponse,
-    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
+    responses=problems(ProblemBody, *_PREDICTED),
+    openapi_extra=ONE_PUSH,
 )
 async def predict(request: Request, body: PredictRequest) -> Response:
     """Predict one push, in the object frame, or in the world when `object_pose` says where the object is."""
@@ -134,7 +159,8 @@ async def predict(request: Request, body: PredictRequest) -> Response:
     tags=["predict"],
     summary="The same for up to 10,000 pushes, of one object or of many",
     response_model=BatchResponse,
-    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
+    responses=problems(ProblemBody, *_PREDICTED),
+    openapi_extra=MANY_PUSHES,
 )
 async def predict_many(request: Request, body: BatchRequest) -> Response:
     """Predict pushes in columns: one row each of pushers, mean and std. A row's answer depends on that row only."""
@@ -146,8 +172,8 @@ async def predict_many(request: Request, body: BatchRequest) -> Response:
     tags=["predict"],
     summary="The same for the object in an image",
     response_model=PredictResponse | BatchResponse,
-    responses=_problems(400, 404, 406, 408, 413, 415, 422, 429, 500, 503),
-    openapi_extra=_form({**_IMAGE_PART, **_PUSH_PARTS}),
+    responses=problems(ProblemBody, *_PREDICTED),
+    openapi_extra=PUSH_UPLOAD,
 )
 async def predict_image(request: Request) -> Response:
     """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
@@ -163,8 +189,8 @@ async def predict_image(request: Request) -> Response:
     "/v1/contexts",
     tags=["predict"],
     summary="What does a model see of this image?",
-    responses=_problems(400, 406, 408, 413, 415, 422, 429, 503),
-    openapi_extra=_form(_IMAGE_PART, also_images=True),
+    responses=problems(ProblemBody, *_UPLOADED),
+    openapi_extra=IMAGE_UPLOAD,
 )
 async def make_context(request: Request) -> VisualContextBody:
     """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
@@ -172,13 +198,18 @@ async def make_context(request: Request) -> VisualContextBody:
     return await workers_of(request).run(describe_image, upload.image)
 
 
-@router.get("/v1/models", tags=["models"], summary="What is served", responses=_problems(406))
+@router.get(
+    "/v1/models",
+    tags=["models"],
+    summary="What is served",
+    responses=problems(ProblemBody, NotAcceptableError, *_AT_ONCE),
+)
 async def list_models(request: Request) -> ModelsBody:
     """Every model that is served, with its versions and aliases."""
     return models_body(snapshot_of(request))
 
 
-@router.get("/v1/models/{name}", tags=["models"], summary="One model", responses=_problems(404, 406, 422))
+@router.get("/v1/models/{name}", tags=["models"], summary="One model", responses=problems(ProblemBody, *_LOOKED_UP))
 async def show_model(request: Request, name: Name) -> ModelBody:
     """One model, with its versions and aliases."""
     return model_body(snapshot_of(request), name)
@@ -188,7 +219,7 @@ async def show_model(request: Request, name: Name) -> ModelBody:
     "/v1/models/{name}/versions/{version}",
     tags=["models"],
     summary="One version",
-    responses=_problems(404, 406, 422, 503),
+    responses=problems(ProblemBody, *_LOOKED_UP, ModelNotReadyError),
 )
 async def show_version(request: Request, name: Name, version: Version) -> ModelVersionDetailBody:
     """One version with its manifest (data, metrics, tensors with units, digests) and its card."""
@@ -205,7 +236,7 @@ async def live() -> LiveBody:
     "/readyz",
     tags=["health"],
     summary="Can predictions be answered?",
-    responses={503: {"description": "not now; the body says why", "model": ReadyBody}},
+    responses={503: _NOT_READY},
 )
 async def ready(request: Request, response: Response) -> ReadyBody:
     """Ready while a model that passed all its checks answers; a broken newcomer is named here and does not end it."""

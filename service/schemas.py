@@ -3,6 +3,7 @@
 Every field carries its unit, an example and what it means; the OpenAPI document is made of these.
 """
 
+import base64
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -19,6 +20,16 @@ _FAULT_EXAMPLE = {
     "received": "2 shapes (1, 4)",
     "accepted": "exactly one shape of 1, 2, 3, 4",
 }
+# what a model sees of the image that is the example in requests: a grey square in the middle, and its thumbnail
+_SEEN_EXAMPLE = base64.b64encode(bytes(256) + (bytes(8) + b"\x80" * 16 + bytes(8)) * 16 + bytes(256)).decode()
+_THUMBNAIL_EXAMPLE = (
+    "iVBORw0KGgoAAAANSUhEUgAAAQAAAAEACAAAAAB5Gfe6AAABRklEQVR4nO3QgQkAIAwEMXVyR3cIhUNIBmiPHwMAAAAA"
+    "AAAAAAAAAAAAAAD43bw9sB9ElP/Xi4ifGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZ"
+    "oA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmg"
+    "DqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAO"
+    "qBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA4A"
+    "AAAAAAAAAAAAAAAAAAAAuHUAko8CAFqKhPgAAAAASUVORK5CYII="
+)
 _DETAIL_EXAMPLE = "{where}: received {received}; accepted is {accepted}".format(**_FAULT_EXAMPLE)
 
 
@@ -108,21 +119,21 @@ class VisualContextBody(Body):
         str,
         Field(
             description="base64 of 1,024 grey levels, row by row: the field visual of a context",
-            examples=["AAAA" * 341 + "AA=="],
+            examples=[_SEEN_EXAMPLE],
         ),
     ]
     thumbnail_png: Annotated[
         str,
         Field(
             description="base64 of a PNG of 256 x 256 pixels: what the model sees, to be looked at",
-            examples=["iVBORw0KGgo="],
+            examples=[_THUMBNAIL_EXAMPLE],
         ),
     ]
     flags: Annotated[
         list[str],
         Field(
             description="what looks wrong: blank, clipped, off_centre, several_objects; then do not trust it far",
-            examples=[["off_centre"]],
+            examples=[[]],
         ),
     ]
 

@@ -21,7 +21,7 @@ from service.manifest import Tensor
 DATATYPES: Final = {"float32": "FP32", "int64": "INT64"}
 _DTYPES: Final[dict[str, np.dtype[Any]]] = {"FP32": np.dtype("<f4"), "INT64": np.dtype("<i8")}
 _JSON_KINDS: Final[dict[str, set[type]]] = {"FP32": {int, float}, "INT64": {int}}
-_LARGEST_RANK: Final = 4
+LARGEST_RANK: Final = 4
 MAX_ROWS: Final = 10_000
 Array = npt.NDArray[Any]
 Parameters = dict[str, bool | int | float | str | None]
@@ -37,7 +37,7 @@ class InputPart(_Part):
     """One input tensor as the JSON has it."""
 
     name: str
-    shape: Annotated[list[int], Field(min_length=1, max_length=_LARGEST_RANK)]
+    shape: Annotated[list[int], Field(min_length=1, max_length=LARGEST_RANK)]
     datatype: str
     parameters: Parameters | None = None
     data: list[Any] | None = None

@@ -1,14 +1,20 @@
-"""The OpenAPI document in the repository is the app's own."""
+"""The OpenAPI document in the repository is the app's own, and says of contexts what the service does."""
 
+import base64
+import itertools
 import json
 import re
 from pathlib import Path
 from typing import Any
 
+import jsonschema_rs
 import pytest
 
 from service.app import create_app
+from service.contract import SHAPE_DIGITS, WEIGHT_LETTERS, ObjectContext
+from service.errors import InvalidRequestError
 from service.loaded_models import LoadedModels
+from service.object_bodies import ContextBody
 from service.predictor import OnnxPredictor
 from service.registry import Registry
 from service.settings import Settings
@@ -65,3 +71,35 @@ def test_failures_are_described_as_problems(document: dict[str, Any]) -> None:
     responses = document["paths"]["/v1/predict"]["post"]["responses"]
     for status in ("400", "404", "413", "415", "422", "503"):
         assert list(responses[status]["content"]) == ["application/problem+json"], status
+
+
+INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+VISUAL = base64.b64encode(bytes(1024)).decode()
+ROWS = [[0.5] * 32] * 32
+CONTEXTS: list[dict[str, Any]] = [
+    *({"descriptor": f"1a{shape}{weight}3c4a"} for shape, weight in itertools.product(SHAPE_DIGITS, WEIGHT_LETTERS)),
+    *(
+        {"descriptor": text}
+        for text in ("", "1a2b3c4", "1a2b3c4a1a", "1a2b3c4a\n", " 1a2b3c4a", "5a2b3c4a", "a1b2c3a4")
+    ),
+    *({"indicator": bits} for bits in (INDICATOR, INDICATOR[:35], [*INDICATOR, 0], [0] * 36, [1] * 36, [0.5] * 36)),
+    *({"visual": text} for text in (VISUAL, VISUAL[:-1], VISUAL[4:], "AAAA" + VISUAL, "-" + VISUAL[1:], "")),
+    *({"visual": rows} for rows in (ROWS, ROWS[:31], [*ROWS, [0.5] * 32], [[0.5] * 31] * 32, [[1.5] * 32] * 32, [])),
+    {},
+    {"descriptor": None},
+    {"descriptor": "1a2b3c4a", "indicator": None},
+    {"descriptor": "1a2b3c4a", "indicator": INDICATOR},
+    {"indicator": INDICATOR, "visual": VISUAL},
+]
+
+
+@pytest.mark.parametrize("context", CONTEXTS, ids=lambda context: str(context)[:40])
+def test_the_document_takes_a_context_that_the_service_takes(document: dict[str, Any], context: dict[str, Any]) -> None:
+    """No more and no fewer: the schema is written beside the checks, and must say the same."""
+    schema = {"$ref": "#/components/schemas/ContextBody", "components": document["components"]}
+    try:
+        ContextBody.model_validate(context).to_contract()
+        taken = True
+    except (ValueError, InvalidRequestError):
+        taken = False
+    assert jsonschema_rs.Draft202012Validator(schema).is_valid(context) is taken
