@@ -35,7 +35,8 @@ COMMAND = "python -m benchmarks.soak --minutes {minutes:g} --load {load:g} --swa
 REPORT = """# Soak
 
 `{command}` on {started} UTC: two instances, nginx, wrk, a
-publisher and hostile clients on {processors} processors, Python {python}, cazsl {version}. It lasted {lasted_minutes:g} minutes. {verdict}
+publisher and hostile clients on {processors} processors, Python {python}, cazsl {version}.
+It lasted {lasted_minutes:g} minutes. {verdict}
 
 | | |
 |---|---|
