@@ -23,6 +23,9 @@ CONNECTIONS = 16
 PACED_CONNECTIONS = 64  # wrk waits in whole milliseconds: with few connections it would fall behind
 # An instance that closes its doors admits nobody new, so whoever knocks then gets no answer: without a short
 # proxy_connect_timeout, nginx waits for the kernel's second try, a second later, before it asks the other instance.
+ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072"}
+"""As in the image: glibc gives back what released models held."""
+ONE_PUSH = Load("/v1/predict", PUSH, {"Content-Type": "application/json"})
 NGINX = """
 daemon off;
 worker_processes 1;
@@ -35,6 +38,7 @@ http {{
   access_log {folder}/access.log asked buffer=64k flush=1s if=$odd;
   client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy; fastcgi_temp_path {folder}/fastcgi;
   uwsgi_temp_path {folder}/uwsgi; scgi_temp_path {folder}/scgi;
+  client_body_buffer_size 1m; proxy_buffers 16 64k;
   upstream cazsl {{ {servers} keepalive 32; }}
   server {{
     listen 127.0.0.1:{port};
@@ -75,6 +79,7 @@ class Instance:
             "PATH": "/usr/bin:/bin",
             "OMP_NUM_THREADS": "1",
             "PYTHONPATH": str(ROOT),
+            **ALLOCATOR,
             **{f"CAZSL_{name.upper()}": str(value) for name, value in settings.items()},
         }
         self.start()
@@ -146,14 +151,16 @@ class Seen:
 
 
 class Asking:
-    """wrk, asking for a push without a pause, or at a rate."""
+    """wrk, asking without a pause, or at a rate."""
 
-    def __init__(self, folder: Path, port: int, seconds: int, rate_per_s: float | None = None) -> None:
-        script = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
+    def __init__(
+        self, folder: Path, port: int, seconds: int, rate_per_s: float | None = None, load: Load = ONE_PUSH
+    ) -> None:
+        script = load.script(folder, load.path.replace("/", "-"))
         if rate_per_s is not None:
             script.write_text(script.read_text() + PACE.format(between_ms=1000 / rate_per_s))
         connections = CONNECTIONS if rate_per_s is None else PACED_CONNECTIONS
-        command = wrk(script, f"http://127.0.0.1:{port}/v1/predict", connections, seconds)
+        command = wrk(script, f"http://127.0.0.1:{port}{load.path}", connections, seconds)
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0)
 
     def running(self) -> bool:

@@ -3,7 +3,8 @@
     python -m benchmarks.replicas [--rounds 7] [--seconds 3] [--promotes 20] [--kills 20]
 
 Two instances over one registry, behind nginx, asked by wrk. Throughput: one instance behind nginx and both, in turn,
-round by round; wrk and nginx share the processors with them, so on two the second instance cannot double anything.
+round by round, with one push a request and with a thousand. wrk and nginx share the processors with them: on two, and
+with one push a request, they take as much as an instance, and a second one has nothing left to run on.
 Promotes: a version is published and becomes the champion at once, at a random moment of the instances' polls; each
 instance is asked a hundred times a second until it answers with it. Kills: one instance after the other is killed under
 load and started again; while it is away nobody may answer at its door, and once it says that it is ready it must
@@ -23,8 +24,8 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarks.agreement import Agreement, Witness
-from benchmarks.cluster import Asking, Instance, instances, nginx, odd_answers
-from benchmarks.serving import ROOT
+from benchmarks.cluster import ONE_PUSH, Asking, Instance, instances, nginx, odd_answers
+from benchmarks.serving import ROOT, ROWS, batch_loads
 from benchmarks.swap import NAME, publish
 from service.registry import Registry
 
@@ -36,22 +37,28 @@ PATIENCE_S = 60.0
 
 def throughput(folder: Path, both: Sequence[Instance], rounds: int, seconds: int) -> None:
     """One instance and both, in turn."""
-    found: dict[int, list[float]] = {1: [], 2: []}
+    loads = {"1": ONE_PUSH, f"{ROWS:,}": batch_loads()["JSON"]}
+    found: dict[str, list[tuple[float, float]]] = {pushes: [] for pushes in loads}
     with nginx(folder / "one", both[:1]) as one, nginx(folder / "two", both) as two:
         for _ in tqdm(range(rounds), desc="throughput", unit="round"):
-            for number, port in ((1, one), (2, two)):
-                seen = Asking(folder, port, seconds).seen()
-                if seen.failed:
-                    raise SystemExit(f"{seen.failed} requests failed with {number} instances")
-                found[number].append(seen.requests_per_s)
-    ratios = [second / first for first, second in zip(found[1], found[2], strict=True)]
+            for pushes, load in loads.items():
+                alone, together = (_requests_per_s(Asking(folder, port, seconds, None, load)) for port in (one, two))
+                found[pushes].append((alone, together))
     print(f"\n## Throughput, {rounds} rounds of {seconds} s each, {os.cpu_count()} processors\n")
-    print("| instances behind nginx | requests/s | times one instance |\n|---|---|---|")
-    print(f"| 1 | {statistics.median(found[1]):.0f} | 1.00 |")
-    print(
-        f"| 2 | {statistics.median(found[2]):.0f} "
-        f"| {statistics.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f}) |"
-    )
+    print("| pushes a request | one instance (requests/s) | two | two to one, median (range) |\n|---|---|---|---|")
+    for pushes, rates in found.items():
+        ratios = [together / alone for alone, together in rates]
+        first, second = (statistics.median(side) for side in zip(*rates, strict=True))
+        span = f"{min(ratios):.2f} to {max(ratios):.2f}"
+        print(f"| {pushes} | {first:.0f} | {second:.0f} | {statistics.median(ratios):.2f} ({span}) |")
+
+
+def _requests_per_s(asking: Asking) -> float:
+    """What it saw, nothing having failed."""
+    seen = asking.seen()
+    if seen.failed:
+        raise SystemExit(f"{seen.failed} requests failed")
+    return seen.requests_per_s
 
 
 def promotes(root: Path, both: Sequence[Instance], count: int) -> None:
