@@ -1,6 +1,6 @@
 """What a second instance gives, how long two disagree, and what `kill -9` of one costs.
 
-    python -m benchmarks.replicas [--rounds 7] [--seconds 3] [--promotes 20] [--kills 20]
+    python -m benchmarks.replicas [--rounds 5] [--seconds 3] [--promotes 20] [--kills 20]
 
 Two instances over one registry, behind nginx, asked by wrk. Throughput: one instance behind nginx and both, in turn,
 round by round, with one push a request and with a thousand. wrk and nginx share the processors with them: on two, and
@@ -136,7 +136,7 @@ def _spread(times_s: Sequence[float]) -> str:
 def main() -> None:
     """Measure, print, and fail if anything was lost."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=7, help="of one instance and of two")
+    parser.add_argument("--rounds", type=int, default=5, help="of one instance and of two")
     parser.add_argument("--seconds", type=int, default=3, help="length of one run of wrk")
     parser.add_argument("--promotes", type=int, default=20, help="how many")
     parser.add_argument("--kills", type=int, default=20, help="how many")
