@@ -37,6 +37,7 @@ def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
     """What leaves, call by call, when this is written in one go."""
 
     async def run() -> list[bytes]:
+        """In a loop."""
         transport = FakeTransport()
         write(PairedWrites(transport, asyncio.get_running_loop()))
         await asyncio.sleep(0)
@@ -83,6 +84,7 @@ def test_nothing_is_sent_to_a_peer_that_is_gone() -> None:
     transport = FakeTransport()
 
     async def run() -> None:
+        """Write, and lose the connection."""
         PairedWrites(transport, asyncio.get_running_loop()).write(b"head")
         transport.close()
         await asyncio.sleep(0)
@@ -95,6 +97,7 @@ def test_everything_else_is_the_transports_own() -> None:
     """Who the peer is, among others, which uvicorn asks."""
 
     async def run() -> object:
+        """Ask."""
         return PairedWrites(FakeTransport(), asyncio.get_running_loop()).get_extra_info("peername")
 
     assert asyncio.run(run()) == ("192.0.2.1", 5)
