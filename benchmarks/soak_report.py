@@ -149,7 +149,7 @@ class Soaked:
             "hostile_requests": sum(count for text, count in outcomes.items() if not text.startswith("unexpected")),
             "hostile_server_errors": sum(count for text, count in outcomes.items() if _is_server_error(text)),
             "log_errors": log.get("errors", "not read"),
-            "log_bytes": log.get("log_bytes", "not read"),
+            "log_lines": log.get("log_lines", "not read"),
             "sent_twice": log.get("sent_twice", "not read"),
         }
 
