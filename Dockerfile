@@ -37,7 +37,11 @@ LABEL org.opencontainers.image.title="cazsl" \
       org.opencontainers.image.revision="${REVISION}" \
       org.opencontainers.image.base.name="docker.io/library/python:3.11-slim"
 COPY --from=build /image /
-ENV PATH=/opt/cazsl/bin:$PATH \
+# The two limits are glibc's own defaults, held: it raises them by itself once a model was released, and then keeps what is
+# freed.
+ENV MALLOC_MMAP_THRESHOLD_=131072 \
+    MALLOC_TRIM_THRESHOLD_=131072 \
+    PATH=/opt/cazsl/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
     CAZSL_HOST=0.0.0.0 \

@@ -1,7 +1,7 @@
 """A chunk of many pushes in columns: what it is, which of its rows cannot be, and its predictions.
 
-Rows follow the rules of a request: numbers finite, pushers within reach, objects that can be. Numbers of a prediction
-may depend in their last bit on what is predicted together, so chunks are cut by rows alone, never by who does them.
+Rows follow the rules of a request: numbers finite, pushers within reach, objects that can be. Chunks are cut by rows
+alone, never by who does them.
 """
 
 from dataclasses import dataclass

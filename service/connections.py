@@ -2,12 +2,15 @@
 
 Without these bounds a client holds a connection for ever by sending its headers slowly, or memory by sending them
 without end. What cannot be read as HTTP is answered as a problem, like every other failure.
+
+Head and body of an answer leave in one write. Between two, a ``kill -9`` would leave a client, or a proxy that could
+still have asked another instance, with half an answer.
 """
 
 import asyncio
 from collections.abc import Callable
 from http import HTTPStatus
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
@@ -15,6 +18,37 @@ from service.problems import MEDIA_TYPE, problem_body
 
 MAX_HEAD_BYTES: Final = 64 * 1024
 LINGER_S: Final = 0.25  # a request that was sent before its client saw the end is here by then
+
+
+class PairedWrites:
+    """A transport that holds what is written until it can leave with what is written next, or nothing is."""
+
+    def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
+        self._transport = transport
+        self._loop = loop
+        self._held = b""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        """Send with what is held, or hold until whoever writes now has written."""
+        if self._held:
+            held, self._held = self._held, b""
+            self._transport.writelines((held, data))
+        else:
+            self._held = data
+            self._loop.call_soon(self._send_held)
+
+    def close(self) -> None:
+        """Send what is held, and close."""
+        self._send_held()
+        self._transport.close()
+
+    def _send_held(self) -> None:
+        held, self._held = self._held, b""
+        if held and not self._transport.is_closing():
+            self._transport.write(held)
 
 
 class BoundedConnection(HttpToolsProtocol):
@@ -25,7 +59,7 @@ class BoundedConnection(HttpToolsProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Begin to look at the clock."""
-        super().connection_made(transport)
+        super().connection_made(cast(asyncio.Transport, PairedWrites(transport, self.loop)))
         self._head_bytes = 0
         self._waits_since: float | None = self.loop.time()  # for the end of a head; None while a request is answered
         self._look()

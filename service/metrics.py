@@ -99,6 +99,7 @@ class RequestMetrics(Collector):
         key = (route, noted["model"], noted["version"]) if noted else (route, "", 0)
         series = self._series.get(key)
         if series is None:
+            self._drop_released()  # whether or not anybody ever reads
             series = self._series[key] = Served()
         series.statuses[status] += 1
         durations = series.duration_s.recent
@@ -175,10 +176,11 @@ class RequestMetrics(Collector):
         return list(self._series.items())  # in one go: whoever reads may do so in a thread
 
     def _drop_released(self) -> None:
-        for (route, model, version), found in self._items():
-            if model and not self._is_served(model, version):
-                del self._series[route, model, version]
-                self._statuses.update({(route, status): count for status, count in found.statuses.items()})
+        with self._folding:
+            for (route, model, version), found in self._items():
+                if model and not self._is_served(model, version):
+                    del self._series[route, model, version]
+                    self._statuses.update({(route, status): count for status, count in found.statuses.items()})
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,7 @@ class Workers:
         asked = time.perf_counter()
 
         def work() -> T:
+            """What runs in the thread."""
             took("queue", time.perf_counter() - asked)
             return function(*args, **kwargs)
 

@@ -7,7 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +120,14 @@ def rss_mib(process: subprocess.Popen[bytes]) -> float:
     """Memory that a process holds now."""
     pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    """Wait for a condition that will hold, or fail."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "it never happened"
+        time.sleep(0.02)
 
 
 def _wait(process: subprocess.Popen[bytes], port: int, log: Path) -> None:

@@ -9,19 +9,19 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from service.registry import Registry
+from tests.serving import PATIENCE_S, free_port, is_ready, wait_until
 
 BODY = json.dumps({"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}).encode()
 JSON = {"Content-Type": "application/json"}
-PATIENCE_S = 60.0  # machines are shared: this bounds a hang, it measures nothing
 
 
 @dataclass
@@ -48,6 +48,10 @@ class Running:
         assert status == 200, answer
         return int(answer["model"]["version"])
 
+    def serves(self, version: int) -> bool:
+        """Whether the champion is that version now."""
+        return self.served_version() == version
+
     def publish(self) -> int:
         """Publish the first version once more and make it the champion."""
         version = publish_again(self.registry)
@@ -59,21 +63,6 @@ def publish_again(registry: Registry) -> int:
     """Publish the first version as the next one."""
     first = registry.read("push-indicator", 1)
     return registry.publish(first.manifest, first.model, first.card).version
-
-
-def free_port() -> int:
-    """A port that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
-
-
-def wait_until(condition: Any) -> None:
-    """Wait for a condition that will hold, or fail."""
-    end = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < end, "it never happened"
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -138,7 +127,7 @@ def test_new_versions_are_served_without_a_restart_or_a_lost_request(running: Ru
         client.start()
     for _ in range(3):
         version = running.publish()
-        wait_until(lambda expected=version: running.served_version() == expected)
+        wait_until(partial(running.serves, version))
     stop.set()
     for client in clients:
         client.join()
@@ -216,7 +205,7 @@ def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refu
                 env={**os.environ, **environment},
                 stderr=log,
             )
-        wait_until(lambda: ready(port))
+        wait_until(lambda: is_ready(port))
 
     stop, failures, answered = threading.Event(), list[object](), [0]
 
@@ -279,18 +268,6 @@ def connected(ports: list[int]) -> http.client.HTTPConnection:
             return connection
 
 
-def ready(port: int) -> bool:
-    """Whether an instance says so."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
-    try:
-        connection.request("GET", "/readyz")
-        return connection.getresponse().status == 200
-    except OSError:
-        return False
-    finally:
-        connection.close()
-
-
 def test_metrics_have_a_port_of_their_own_when_asked(project_root: Path, tmp_path: Path) -> None:
     """What Prometheus reads there, and nothing of the service."""
     port, metrics_port = free_port(), free_port()
@@ -301,7 +278,7 @@ def test_metrics_have_a_port_of_their_own_when_asked(project_root: Path, tmp_pat
         env={**os.environ, **environment},
     )
     try:
-        wait_until(lambda: ready(port))
+        wait_until(lambda: is_ready(port))
         connection = http.client.HTTPConnection("127.0.0.1", metrics_port, timeout=PATIENCE_S)
         connection.request("GET", "/metrics")
         text = connection.getresponse().read().decode()

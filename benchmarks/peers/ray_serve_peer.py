@@ -4,9 +4,11 @@ It starts several processes (scheduler, controller, proxy, replica); all of them
 machine for a part of a cluster and listens on every address; here on 127.0.0.1 only.
 """
 
+import importlib
 import os
 import signal
 import sys
+from typing import Any
 
 os.environ |= {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}  # ray reads them at import
 
@@ -44,8 +46,7 @@ class Pushes:
 
 def stay_on_this_machine() -> None:
     """Make a replica's own gRPC server, which has no setting for it, listen on 127.0.0.1."""
-    from ray.serve._private import replica
-
+    replica: Any = importlib.import_module("ray.serve._private.replica")
     add_port = replica.add_port_to_grpc_server
     replica.add_port_to_grpc_server = lambda server, _: add_port(server, "127.0.0.1:0")
 

@@ -32,6 +32,23 @@ def metrics() -> RequestMetrics:
     return RequestMetrics(lambda name, version: (name, version) == ("push-indicator", 1))
 
 
+def test_versions_leave_no_series_behind_where_nobody_reads() -> None:
+    """Asked about each series when somebody reads at last, the registry is not asked about a thousand."""
+    asked: list[int] = []
+
+    def is_served(name: str, version: int) -> bool:
+        asked.append(version)
+        return version == newest
+
+    metrics = RequestMetrics(is_served)
+    for newest in range(1, 1001):
+        metrics.note("/v1/predict", 200, 0.001, {**ANSWER, "version": newest}, [])
+    asked.clear()
+    found = scraped(metrics)
+    assert set(asked) == {1000}
+    assert sample(found, "cazsl_requests_total", route="/v1/predict", status="200") == 1000.0
+
+
 def test_a_value_on_a_bound_counts_below_it() -> None:
     """Prometheus's buckets are cumulative and closed above."""
     found = Distribution((1.0, 2.0))

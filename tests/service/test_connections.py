@@ -1,0 +1,103 @@
+"""Writes that leave together; the bounds on heads are tested with raw sockets in tests/test_attacks.py."""
+
+import asyncio
+from collections.abc import Callable, Iterable
+
+import pytest
+
+from service.connections import PairedWrites
+
+
+class FakeTransport(asyncio.Transport):
+    """Remembers what each call to the system would have carried."""
+
+    def __init__(self) -> None:
+        super().__init__({"peername": ("192.0.2.1", 5)})
+        self.sent: list[bytes] = []
+        self.closed = False
+
+    def write(self, data: bytes | bytearray | memoryview) -> None:
+        """One call."""
+        self.sent.append(bytes(data))
+
+    def writelines(self, list_of_data: Iterable[bytes | bytearray | memoryview]) -> None:
+        """One call too."""
+        self.write(b"".join(list_of_data))
+
+    def is_closing(self) -> bool:
+        """Whether it was closed."""
+        return self.closed
+
+    def close(self) -> None:
+        """No more."""
+        self.closed = True
+
+
+def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
+    """What leaves, call by call, when this is written in one go."""
+
+    async def run() -> list[bytes]:
+        """In a loop."""
+        transport = FakeTransport()
+        write(PairedWrites(transport, asyncio.get_running_loop()))
+        await asyncio.sleep(0)
+        return transport.sent
+
+    return asyncio.run(run())
+
+
+@pytest.mark.parametrize(
+    ("pieces", "calls"),
+    [
+        ((b"head", b"body"), [b"headbody"]),
+        ((b"head",), [b"head"]),
+        ((b"head", b""), [b"head"]),
+        ((b"head", b"body", b"head", b"body"), [b"headbody", b"headbody"]),
+        ((b"head", b"part", b"part"), [b"headpart", b"part"]),
+        ((b"", b"body"), [b"body"]),
+    ],
+    ids=["an answer", "a head alone", "an empty body", "two answers", "a body in parts", "nothing, then something"],
+)
+def test_what_is_written_in_one_go_leaves_in_pairs(pieces: tuple[bytes, ...], calls: list[bytes]) -> None:
+    """Head and body make one call, and nothing waits for longer than whoever writes."""
+
+    def write(transport: PairedWrites) -> None:
+        for piece in pieces:
+            transport.write(piece)
+
+    assert sent_by(write) == calls
+
+
+def test_closing_sends_what_is_held() -> None:
+    """A refusal is written and the connection closed at once: it leaves first."""
+
+    def write(transport: PairedWrites) -> None:
+        transport.write(b"refused")
+        transport.close()
+        assert transport.is_closing()
+
+    assert sent_by(write) == [b"refused"]
+
+
+def test_nothing_is_sent_to_a_peer_that_is_gone() -> None:
+    """The connection was lost between the write and the end of it."""
+    transport = FakeTransport()
+
+    async def run() -> None:
+        """Write, and lose the connection."""
+        PairedWrites(transport, asyncio.get_running_loop()).write(b"head")
+        transport.close()
+        await asyncio.sleep(0)
+
+    asyncio.run(run())
+    assert transport.sent == []
+
+
+def test_everything_else_is_the_transports_own() -> None:
+    """Who the peer is, among others, which uvicorn asks."""
+
+    async def run() -> object:
+        """Ask."""
+        return PairedWrites(FakeTransport(), asyncio.get_running_loop()).get_extra_info("peername")
+
+    assert asyncio.run(run()) == ("192.0.2.1", 5)
