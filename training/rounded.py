@@ -60,7 +60,7 @@ class RoundedDense(torch.autograd.Function):
         """Gradients of value, weight and bias."""
         value, rounded, result = ctx.saved_tensors
         passed = _passed(gradients[0], result)
-        return passed @ rounded, (passed.T @ value).float(), passed.sum(dim=0, dtype=torch.float32)
+        return passed @ rounded, (passed.T @ value).float(), passed.sum(dim=0).float()
 
 
 class RoundedLast(torch.autograd.Function):
