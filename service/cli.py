@@ -33,7 +33,7 @@ from service.server import DrainingServer
 from service.telemetry import configure_logging
 from service.terminal import FAILED, mend, registry_option
 
-SWITCH_INTERVAL_S: Final = 0.0005
+SWITCH_INTERVAL_S: Final = 0.0001
 POSE_PARTS: Final = 3
 
 
