@@ -62,7 +62,12 @@ class BoundedConnection(HttpToolsProtocol):
         super().connection_made(cast(asyncio.Transport, PairedWrites(transport, self.loop)))
         self._head_bytes = 0
         self._waits_since: float | None = self.loop.time()  # for the end of a head; None while a request is answered
-        self._look()
+        self._look_later(self.head_s)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop looking: the clock would hold the connection in memory for as long as a head may take."""
+        self._looking.cancel()
+        super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
         """Read, and count what is read of a head."""
@@ -112,10 +117,13 @@ class BoundedConnection(HttpToolsProtocol):
             return
         left = self.head_s if self._waits_since is None else self._waits_since + self.head_s - self.loop.time()
         if left > 0.0:
-            self.loop.call_later(left + 0.01, self._look)
+            self._look_later(left)
             return
         detail = f"head: received a part of it in {self.head_s:g} s; accepted is all of it in {self.head_s:g} s"
         self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)
+
+    def _look_later(self, left_s: float) -> None:
+        self._looking = self.loop.call_later(left_s + 0.01, self._look)
 
     def _refuse(self, status: HTTPStatus, code: str, detail: str) -> None:
         """Write a problem and close: there is no request yet that an application could answer."""

@@ -1,11 +1,16 @@
 """Writes that leave together; the bounds on heads are tested with raw sockets in tests/test_attacks.py."""
 
 import asyncio
+import gc
+import weakref
 from collections.abc import Callable, Iterable
 
 import pytest
+from starlette.responses import PlainTextResponse
+from uvicorn import Config
+from uvicorn.server import ServerState
 
-from service.connections import PairedWrites
+from service.connections import PairedWrites, bounded_connection
 
 
 class FakeTransport(asyncio.Transport):
@@ -101,3 +106,23 @@ def test_everything_else_is_the_transports_own() -> None:
         return PairedWrites(FakeTransport(), asyncio.get_running_loop()).get_extra_info("peername")
 
     assert asyncio.run(run()) == ("192.0.2.1", 5)
+
+
+@pytest.mark.parametrize("said", [b"", b"POST /v1/predict HTTP/1.1\r\n"], ids=["silent", "in the middle of a head"])
+def test_a_connection_that_is_lost_is_not_held_until_its_time_is_over(said: bytes) -> None:
+    """A clock that still looked at it would hold a proxy's thousands of short connections in memory for seconds."""
+
+    async def run() -> object:
+        """Open, say something, and be gone; what is left of it while the loop goes on."""
+        config = Config(PlainTextResponse("fine"), log_config=None)
+        config.load()
+        connection = bounded_connection(3600.0, lambda code: None)(config, ServerState(), {})
+        connection.connection_made(FakeTransport())
+        connection.data_received(said)
+        connection.connection_lost(ConnectionResetError())
+        left = weakref.ref(connection)
+        del connection
+        gc.collect()
+        return left()
+
+    assert asyncio.run(run()) is None
