@@ -6,7 +6,7 @@ import socket
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from benchmarks.serving import PUSH
+from benchmarks.asking import PUSH
 
 PATIENCE_S = 30.0
 KNOCK_S = 0.5  # the kernel takes a connection at once, unless the instance is just closing its doors

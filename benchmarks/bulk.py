@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.serving import ROOT
+from benchmarks.asking import ROOT
 from training.published import omnipush_descriptors
 
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.serving import OURS, PUSH, ROOT, Load, answers, free_port, wrk
+from benchmarks.asking import OURS, PUSH, ROOT, Load, answers, free_port, wrk
 
 PATIENCE_S = 60.0
 CONNECTIONS = 16

@@ -13,8 +13,8 @@ import argparse
 import tempfile
 from pathlib import Path
 
+from benchmarks.asking import ROOT
 from benchmarks.cluster import Asking, instances, nginx, odd_answers
-from benchmarks.serving import ROOT
 
 A_DAY_S = 24 * 3600
 

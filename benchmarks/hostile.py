@@ -15,7 +15,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from benchmarks.serving import PUSH, ROOT
+from benchmarks.asking import PUSH, ROOT
 
 CORPUS = ROOT / "tests" / "attacks" / "http"
 HEAD = b"POST /v1/predict HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"

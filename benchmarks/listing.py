@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.serving import ROOT
+from benchmarks.asking import ROOT
 from service.registry import Registry
 
 NAME = "push-indicator"

@@ -24,8 +24,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarks.agreement import Agreement, Witness
+from benchmarks.asking import ROOT
 from benchmarks.cluster import ONE_PUSH, Asking, Instance, instances, nginx, odd_answers
-from benchmarks.serving import ROOT, ROWS, batch_loads
+from benchmarks.serving import ROWS, batch_loads
 from benchmarks.swap import NAME, publish
 from service.registry import Registry
 

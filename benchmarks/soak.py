@@ -35,9 +35,9 @@ from tqdm import tqdm
 
 import service
 from benchmarks.agreement import Agreement, Witness
+from benchmarks.asking import ROOT
 from benchmarks.cluster import Asking, Instance, instances, nginx, odd_answers, rss_mib
 from benchmarks.hostile import HostileClients
-from benchmarks.serving import ROOT
 from benchmarks.soak_report import RECORD_FILE, write_report
 from benchmarks.swap import NAME, publish
 from service.registry import Registry

@@ -21,7 +21,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from benchmarks.serving import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server
+from benchmarks.asking import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server
 from service.registry import Registry
 
 NAME = "push-indicator"
