@@ -12,7 +12,7 @@ import service
 from service.manifest import DEFAULT_ALIAS, is_alias
 from service.registry import NOWHERE, Registry
 from service.workforce import gather
-from training import export, fit, images, recipes, reproduction
+from training import export, figures, fit, images, recipes, reproduction
 from training.command_errors import mend
 from training.data_cli import data
 from training.evaluate import Evaluation
@@ -174,6 +174,11 @@ def publish(
 )
 @click.option("--jobs", type=click.IntRange(1), help="Runs at once. [default: one per core; one where there is a GPU]")
 @click.option("--ray", "ray_address", metavar="ADDRESS", help="Train on this Ray cluster instead: HOST:PORT, or auto.")
+@click.option(
+    "--known",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A figures.json of an earlier reproduction, by as many epochs of the same data: its runs are not done again.",
+)
 @data_option
 @views_option
 @mend
@@ -186,6 +191,7 @@ def reproduce(
     out: Path,
     jobs: int | None,
     ray_address: str | None,
+    known: Path | None,
     folder: Path,
     views: Path | None,
 ) -> None:
@@ -208,6 +214,8 @@ def reproduce(
         raise click.UsageError(f"give one or more of {', '.join(EXPERIMENTS)}, or --all")
     if jobs is not None and ray_address is not None:
         raise click.UsageError("--jobs counts runs on this machine; give either that or --ray")
+    if known is not None and len(names) != 1:
+        raise click.UsageError("--known holds the runs of one experiment; give its name alone")
     workforce = gather(jobs or _cores(), ray_address)
     from training import report  # matplotlib is slow to load, and no other command of training needs it
 
@@ -215,9 +223,11 @@ def reproduce(
         experiment = experiments()[name].without(skip)
         rounds, runs = epochs or experiment.epochs, seeds or experiment.seeds
         read = reproduction.data_reader(experiment, folder, views)
-        results = reproduction.reproduce(experiment, read, out / name, runs, rounds, workforce=workforce)
+        earlier = {} if known is None else figures.read_figures(known, name, rounds)
+        results = reproduction.reproduce(experiment, read, out / name, runs, rounds, workforce=workforce, known=earlier)
         command = f"cazsl-train reproduce {name} --epochs {rounds} --seeds {runs} --out {out}"
         command += "".join(f" --skip '{method}'" for method in skip)
+        command += "" if known is None else f" --known {known}"
         command += "" if name == GAUSSIAN_PROCESS else _data_words(folder, views)
         path = report.write_report(report.Reproduction(experiment, results, runs, rounds, command), out / name)
         click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")

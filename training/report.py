@@ -4,25 +4,21 @@ Every figure of ours is a mean over seeds; what stands behind the sign is their 
 data, says whether they are simulated, and gives the command that makes it again.
 """
 
-import json
-import platform
 import statistics
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-import torch
 from matplotlib.figure import Figure
 
-import service
 from training.evaluate import Evaluation
 from training.experiments import Cell, Experiment, PaperFigures, Table
+from training.figures import FIGURES_FILE, raw_figures
 from training.methods import METHODS
 from training.reproduction import Result
 
 REPORT_FILE: Final = "README.md"
-FIGURES_FILE: Final = "figures.json"
 PLOT_FILE: Final = "rmse.png"
 
 
@@ -58,7 +54,8 @@ class Reproduction:
 def write_report(made: Reproduction, folder: Path) -> Path:
     """Write the Markdown report, the plot and the raw figures; the report's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / FIGURES_FILE).write_text(raw_figures(made), encoding="utf-8")
+    raw = raw_figures(made.experiment.name, made.command, made.seeds, made.epochs, made.results)
+    (folder / FIGURES_FILE).write_text(raw, encoding="utf-8")
     plot(made).savefig(folder / PLOT_FILE, metadata={"Software": None})
     path = folder / REPORT_FILE
     path.write_text(render(made), encoding="utf-8")
@@ -163,21 +160,6 @@ ANP is given 50 pushes of each test object with their outcomes, and predicts the
 leak encodes the very targets that it predicts, as the published evaluation does; it is no result.
 """
     return notes
-
-
-def raw_figures(made: Reproduction) -> str:
-    """Every figure of every run as JSON, with what made it."""
-    document: dict[str, Any] = {
-        "experiment": made.experiment.name,
-        "command": made.command,
-        "seeds": made.seeds,
-        "epochs": made.epochs,
-        "code_version": service.__version__,
-        "torch": torch.__version__,
-        "machine": platform.machine(),
-        "runs": [asdict(result) for result in made.results],
-    }
-    return json.dumps(document, indent=2) + "\n"
 
 
 def plot(made: Reproduction) -> Figure:

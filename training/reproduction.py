@@ -6,7 +6,7 @@ changed.
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -122,8 +122,11 @@ def reproduce(
     epochs: int,
     quiet: bool = False,
     workforce: Workforce | None = None,
+    known: Mapping[tuple[Cell, int], Result] | None = None,
 ) -> list[Result]:
     """Train and measure every cell with every seed, or go on where this folder stopped; by this process unless told.
+
+    What is ``known`` is taken as it is.
 
     Seed after seed, so that a first look needs no patience; the neural process, an order dearer than all else, last.
 
@@ -133,14 +136,15 @@ def reproduce(
     """
     workforce = workforce or ThisProcess()
     runs, data = _plan(experiment, read, folder, seeds, epochs)
-    results: dict[tuple[Cell, int], Result] = {}
+    results = _taken(runs, data, known or {})
+    left = [run for run in runs if (run.cell, run.seed) not in results]
     with (
         workforce.at_work(trainer, (data, quiet or not workforce.here)) as crew,
-        tqdm(total=len(runs), desc=experiment.name, unit="run", disable=quiet) as progress,
+        tqdm(total=len(runs), initial=len(results), desc=experiment.name, unit="run", disable=quiet) as progress,
     ):
 
         def sent() -> Iterator[Run]:
-            for run in runs:
+            for run in left:
                 progress.set_postfix_str(run.name)
                 yield run if workforce.shares_disk else replace(run, sent=pack(run.folder))
 
@@ -150,6 +154,24 @@ def reproduce(
             results[run.cell, run.seed] = result
             progress.update()
     return [results[run.cell, run.seed] for run in runs]
+
+
+def _taken(
+    runs: Sequence[Run], data: Sequence[TrainingData], known: Mapping[tuple[Cell, int], Result]
+) -> dict[tuple[Cell, int], Result]:
+    """Of what is known, what is wanted.
+
+    Raises:
+        DataError: it was made of other data.
+    """
+    taken = {(run.cell, run.seed): known[run.cell, run.seed] for run in runs if (run.cell, run.seed) in known}
+    for run in runs:
+        result = taken.get((run.cell, run.seed))
+        if result is not None and result.origin != data[run.data].origin:
+            raise DataError(
+                f"{run.name}: the known figures are of {result.origin}, the data here {data[run.data].origin}"
+            )
+    return taken
 
 
 def _plan(

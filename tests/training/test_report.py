@@ -7,7 +7,8 @@ import pytest
 
 from training.evaluate import Evaluation
 from training.experiments import Cell, experiments
-from training.report import FIGURES_FILE, PLOT_FILE, REPORT_FILE, Reproduction, Spread, plot, render, write_report
+from training.figures import FIGURES_FILE
+from training.report import PLOT_FILE, REPORT_FILE, Reproduction, Spread, plot, render, write_report
 from training.reproduction import Result
 
 COST: dict[str, str | float] = {"seconds": 1800.0, "device": "cpu", "precision": "bfloat16"}

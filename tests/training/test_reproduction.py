@@ -87,6 +87,32 @@ def test_what_is_finished_is_not_done_again(small: Experiment, viewed_pushes: Pu
     assert len((killed / METRICS_FILE).read_text(encoding="utf-8").splitlines()) == 2
 
 
+def test_what_is_known_is_taken_and_the_rest_is_trained(
+    small: Experiment, viewed_pushes: Pushes, tmp_path: Path
+) -> None:
+    """No folder is made for a run whose figures were brought along; rows that were left out then are added."""
+    reader = Reader(viewed_pushes)
+    first = reproduce(small.without(["ANP"]), reader, tmp_path / "then", seeds=1, epochs=1, quiet=True)
+    known = {(result.cell, result.seed): result for result in first}
+
+    found = reproduce(small, reader, tmp_path / "now", seeds=1, epochs=1, quiet=True, known=known)
+
+    assert [result for result in found if result.cell.method != "ANP"] == first
+    assert [path.parent.name for path in (tmp_path / "now" / CELLS).glob("*/*/seed-*")] == ["anp"]
+
+
+def test_known_figures_of_other_data_are_refused(small: Experiment, viewed_pushes: Pushes, tmp_path: Path) -> None:
+    """Before anything is trained."""
+    reader = Reader(viewed_pushes)
+    (first, *_) = reproduce(small, reader, tmp_path / "then", seeds=1, epochs=1, quiet=True)
+    other = replace(first, origin={"source": "elsewhere", "sha256": "1" * 64})
+
+    with pytest.raises(DataError, match=r"seed 0: the known figures are of .*elsewhere"):
+        reproduce(small, reader, tmp_path / "now", seeds=1, epochs=1, quiet=True, known={(first.cell, 0): other})
+
+    assert not (tmp_path / "now").exists()
+
+
 def test_another_number_of_epochs_needs_another_folder(
     small: Experiment, viewed_pushes: Pushes, tmp_path: Path
 ) -> None:
