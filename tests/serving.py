@@ -1,7 +1,12 @@
-"""A real service process for tests: real sockets, the runtime, the model that ships and a small visual one."""
+"""A real service process for tests: real sockets, the runtime, the model that ships and a small visual one.
+
+``CAZSL_TEST_CONTAINER`` has the tests that ask over HTTP start a container instead: a command in which ``{settings}``
+becomes options ``--env NAME=VALUE`` and ``{folder}`` the folder that holds the registry, see docs/operations.md.
+"""
 
 import http.client
 import os
+import shlex
 import shutil
 import socket
 import subprocess
@@ -83,17 +88,13 @@ def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Po
     """A service over the models that ship and a visual one, on a port; ended in order, it must exit with 0."""
     shutil.copytree(ROOT / "models", folder / "models")
     publish_visual(Registry(folder / "models"))
+    folder.chmod(0o755)  # the user of a container is another one
     port = free_port()
     environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(folder / "models"), "CAZSL_LOG_LEVEL": "WARNING"}
     environment |= {f"CAZSL_{name.upper()}": str(value) for name, value in settings.items()}
+    command = _command(environment | {"CAZSL_HOST": "127.0.0.1"}, folder)
     with (folder / "log").open("w") as log:
-        process = subprocess.Popen(
-            [sys.executable, "-c", "from service.cli import main; main()", "serve"],
-            cwd=ROOT,
-            env={**os.environ, **environment},
-            stdout=log,
-            stderr=log,
-        )
+        process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **environment}, stdout=log, stderr=log)
     try:
         _wait(process, port, folder / "log")
         yield port, process
@@ -102,6 +103,15 @@ def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Po
     finally:
         process.kill()
         process.wait()
+
+
+def _command(environment: dict[str, str], folder: Path) -> list[str]:
+    """What starts a service: this interpreter, or the container that was asked for."""
+    container = os.environ.get("CAZSL_TEST_CONTAINER")
+    if container is None:
+        return [sys.executable, "-c", "from service.cli import main; main()", "serve"]
+    settings = " ".join(f"--env {shlex.quote(f'{name}={value}')}" for name, value in environment.items())
+    return shlex.split(container.format(settings=settings, folder=folder))
 
 
 def is_ready(port: int) -> bool:
