@@ -36,6 +36,7 @@ def gathered(models: Snapshot, requests: list[PredictRequest]) -> list[Answer | 
     """The outcomes of requests of one turn."""
 
     async def together() -> list[Answer | BaseException]:
+        """All in one turn."""
         turns = Turns()
         asked = (turns.answer(ask_one(models, one)) for one in requests)
         return await asyncio.wait_for(asyncio.gather(*asked, return_exceptions=True), 10.0)
@@ -123,6 +124,7 @@ def test_who_left_is_not_answered_and_disturbs_nobody(models: Snapshot) -> None:
     """A client that goes away before its turn is over."""
 
     async def scenario() -> Answer:
+        """One leaves, one stays."""
         turns = Turns()
         leaving = asyncio.create_task(turns.answer(ask_one(models, request(0))))
         staying = asyncio.create_task(turns.answer(ask_one(models, request(1))))
@@ -137,12 +139,14 @@ def test_every_request_tells_what_the_call_took(models: Snapshot) -> None:
     """Once each, in its own parts."""
 
     async def one(turns: Turns, number: int) -> Parts:
+        """A request that listens."""
         parts: Parts = []
         listen(parts)
         await turns.answer(ask_one(models, request(number)))
         return parts
 
     async def scenario() -> list[Parts]:
+        """Three of them."""
         turns = Turns()
         return await asyncio.gather(*(asyncio.create_task(one(turns, number)) for number in range(3)))
 
@@ -155,6 +159,7 @@ def test_a_turn_after_another_is_asked_too(models: Snapshot) -> None:
     """Nothing of the first is left in the second."""
 
     async def scenario() -> list[Answer]:
+        """One after the other."""
         turns = Turns()
         return [await turns.answer(ask_one(models, request(number))) for number in range(2)]
 
