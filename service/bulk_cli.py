@@ -3,7 +3,6 @@
 import sys
 import time
 from pathlib import Path
-from typing import Final
 
 import click
 
@@ -13,9 +12,7 @@ from service.loaded_models import DEFAULT_MODELS
 from service.manifest import ModelReference
 from service.registry import Registry
 from service.workers import processors
-from service.workforce import gather
-
-ROWS_PER_JOB: Final = 200_000  # as many are predicted in about the time that a process takes to start
+from service.workforce import LocalThreads, RayCluster
 
 
 def predict_parquet(
@@ -33,7 +30,7 @@ def predict_parquet(
         raise DataError("--parquet needs the extra 'parquet': pip install 'cazsl[parquet]'") from error
     pushes = PushFile(source)
     model = _model(registry, reference or DEFAULT_MODELS[pushes.kind()])
-    workforce = gather(jobs or min(processors(), 1 + pushes.rows // ROWS_PER_JOB), ray_address)
+    workforce = LocalThreads(jobs or processors()) if ray_address is None else RayCluster(ray_address)
     shown = sys.stderr
     began = time.perf_counter()
     with click.progressbar(length=pushes.rows, label=source.name, file=shown, hidden=not shown.isatty()) as bar:

@@ -156,7 +156,7 @@ def new_key(name: str, scopes: tuple[str, ...]) -> None:
 @click.option(
     "--jobs",
     type=click.IntRange(1),
-    help="With --parquet: local processes. [default: one per processor, where each has 200,000 rows to do]",
+    help="With --parquet: threads of this process. [default: one per processor]",
 )
 @click.option(
     "--ray", "ray_address", metavar="ADDRESS", help="With --parquet: on this Ray cluster: HOST:PORT, or auto."

@@ -1,4 +1,4 @@
-"""Whoever does many independent pieces of work: this process, processes on its cores, or a Ray cluster.
+"""Whoever does many independent pieces of work: this process or its threads, processes on its cores, or a Ray cluster.
 
 A piece's result depends on the piece alone, so results are equal wherever they are made and however many make them.
 What all pieces need is ``shared``: it is sent once to each process, which calls ``prepare(shared)`` once and gets the
@@ -16,7 +16,7 @@ import socket
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
@@ -108,6 +108,27 @@ class ThisProcess:
             return future
 
         yield Crew(submit, ahead=0)
+
+
+class LocalThreads:
+    """Threads of this process, for work that is mostly done outside of Python: nothing is started or copied."""
+
+    here = False
+    shares_disk = True
+
+    def __init__(self, jobs: int) -> None:
+        self._jobs = jobs
+        self.words = f"{jobs} job{'s' * (jobs > 1)}"
+
+    @contextmanager
+    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> Iterator[Crew[P, R]]:
+        """See ``Workforce.at_work``."""
+        work = prepare(shared)
+        pool = ThreadPoolExecutor(self._jobs)
+        try:
+            yield Crew(lambda piece: pool.submit(work, piece), ahead=2 * self._jobs)
+        finally:
+            pool.shutdown(cancel_futures=True)
 
 
 class LocalCores:

@@ -17,7 +17,7 @@ from service.client import Client
 from service.contract import ContextKind
 from service.parquet_file import PushFile
 from service.registry import Registry
-from service.workforce import LocalCores, ThisProcess, Workforce
+from service.workforce import LocalCores, LocalThreads, ThisProcess, Workforce
 from tests.clusters import LosesNode, TwoNodes
 
 ROWS = 9 * CHUNK_ROWS + 17
@@ -117,11 +117,12 @@ def test_the_file_says_which_model_made_it(expected: bytes) -> None:
     }
 
 
-def test_several_processes_write_the_same_bytes(
-    source: Path, expected: bytes, model: ModelParts, tmp_path: Path
+@pytest.mark.parametrize("workforce", [LocalThreads(3), LocalCores(2)], ids=["threads", "processes"])
+def test_several_workers_write_the_same_bytes(
+    source: Path, expected: bytes, model: ModelParts, tmp_path: Path, workforce: Workforce
 ) -> None:
     """As one."""
-    assert written(source, tmp_path / "out.parquet", model, LocalCores(2)) == expected
+    assert written(source, tmp_path / "out.parquet", model, workforce) == expected
 
 
 def test_a_cluster_that_loses_a_node_writes_the_same_bytes(

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import FieldFault, InvalidRequestError, WorkforceError
-from service.workforce import LocalCores, RayCluster, ThisProcess, Workforce, gather
+from service.workforce import LocalCores, LocalThreads, RayCluster, ThisProcess, Workforce, gather
 from tests.clusters import TwoNodes, ended, wait_for
 
 
@@ -39,7 +39,9 @@ def sleep(_: int) -> Callable[[Path], None]:
     return work
 
 
-@pytest.fixture(params=[ThisProcess(), LocalCores(2)], ids=["this process", "two processes"])
+@pytest.fixture(
+    params=[ThisProcess(), LocalThreads(2), LocalCores(2)], ids=["this process", "two threads", "two processes"]
+)
 def workforce(request: pytest.FixtureRequest) -> Workforce:
     """The local ones."""
     found: Workforce = request.param
