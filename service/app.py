@@ -109,15 +109,7 @@ def create_app(
     app.state.workers = workers
     app.state.keys = keys
     app.state.readiness = readiness
-    guard = [Depends(may_predict)] if keys.wanted else []
-    refusals = (MissingKeyError, ForbiddenError) if keys.wanted else ()
-    app.include_router(routes.health)
-    app.include_router(routes.router, dependencies=guard, responses=problems(ProblemBody, *refusals))
-    app.include_router(routes.uploads, dependencies=guard, responses=problems(ProblemBody, *refusals))
-    app.include_router(open_inference.health)
-    if settings.metrics_port is None:
-        app.include_router(monitoring.router)
-    app.include_router(open_inference.router, dependencies=guard, responses=protocol_errors(ErrorBody, *refusals))
+    _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
     install_problem_handlers(app)
     fast_path = FastPath(app.framework, models, workers, keys)
     intake = Intake(fast_path, _limits(settings))
@@ -126,6 +118,19 @@ def create_app(
     app.state.metrics = exposition(requests, vitals(models, readiness, workers, intake))
     app.rings = trace(RequestTelemetry(intake, _internal_error, log, requests))
     return app
+
+
+def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:
+    """Every route, those that predict or tell of models behind a key where keys are wanted."""
+    guard = [Depends(may_predict)] if guarded else []
+    refusals = (MissingKeyError, ForbiddenError) if guarded else ()
+    app.include_router(routes.health)
+    app.include_router(routes.router, dependencies=guard, responses=problems(ProblemBody, *refusals))
+    app.include_router(routes.uploads, dependencies=guard, responses=problems(ProblemBody, *refusals))
+    app.include_router(open_inference.health)
+    if metrics:
+        app.include_router(monitoring.router)
+    app.include_router(open_inference.router, dependencies=guard, responses=protocol_errors(ErrorBody, *refusals))
 
 
 def _limits(settings: Settings) -> IntakeLimits:

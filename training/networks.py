@@ -105,10 +105,10 @@ class PushNetwork(nn.Module):
         """Those of the layers that every push goes through; the others meet contexts alone."""
         return [value for layer in (self.first, self.second, self.third, self.last) for value in layer.parameters()]
 
-    def forward(self, pusher: Tensor, context: Tensor, dtype: torch.dtype = torch.float32) -> Prediction:
-        """Predict pushes (objects, pushes, 3) of objects with these contexts; ``dtype`` as ``conditioned`` has it."""
+    def forward(self, pusher: Tensor, context: Tensor) -> Prediction:
+        """Predict pushes (objects, pushes, 3) of objects with these contexts."""
         conditioning = self.conditioning(context)
-        return Prediction(*self.conditioned(pusher, conditioning, dtype), conditioning)
+        return Prediction(*self.conditioned(pusher, conditioning), conditioning)
 
     def conditioned(
         self, pusher: Tensor, conditioning: Tensor | None, dtype: torch.dtype = torch.float32
