@@ -82,7 +82,7 @@ def serve(**options: Any) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
-        http=bounded_connection(settings.body_timeout_s, app.state.requests.refuse),
+        http=bounded_connection(settings.body_timeout_s, app.state.requests.refuse, app.state.short_way),
         proxy_headers=False,  # who asks is who connects
         timeout_graceful_shutdown=settings.grace_s,
     )

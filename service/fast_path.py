@@ -7,7 +7,7 @@ bytes for every request.
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from service.requests import BatchRequest, PredictRequest
 from service.turns import Turns
 from service.workers import Workers
 
+Headers = Sequence[tuple[bytes, bytes]]
 _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 
 
@@ -49,6 +50,7 @@ DOORS: Final = {
         Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
     )
 }
+SINGLE: Final = frozenset(door.route for door in DOORS.values() if door.ask is not None)
 _INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")
 _INFER_ROUTES: Final = ("/v2/models/{name}/infer", "/v2/models/{name}/versions/{version}/infer")
 
@@ -61,11 +63,12 @@ class FastPath:
         self._models = models
         self._workers = workers
         self._keys = keys
-        self._turns = Turns()
+        self.turns = Turns()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request."""
-        door = self._door(scope) if scope["type"] == "http" and scope["method"] == "POST" else None
+        is_post = scope["type"] == "http" and scope["method"] == "POST"
+        door = self._door(scope["path"], scope["headers"]) if is_post else None
         if door is None:
             await self._app(scope, receive, send)
             return
@@ -76,9 +79,22 @@ class FastPath:
             await self._app(scope, WholeBody(content, receive), send)
             return
         scope["state"]["log"] = answer.log() | {"route": door.route}
-        headers = [(b"content-length", b"%d" % len(answer.content)), *answer.headers]
+        headers = [*answer.headers, (b"content-length", b"%d" % len(answer.content))]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         await send({"type": "http.response.body", "body": answer.content})
+
+    def single_door(self, path: str, headers: Headers) -> Door | None:
+        """The way in for a POST of one push, when its headers ask for nothing that needs a second look."""
+        return self._door(path, headers) if path in SINGLE else None
+
+    def ask(self, door: Door, content: bytes) -> Question | None:
+        """What a body of a single push asks; None when that takes too long for the event loop.
+
+        Raises:
+            ValidationError, CazslError: it is not in order.
+        """
+        request = door.parse(content)
+        return door.ask(self._models.snapshot, request) if door.ask is not None and is_light(request) else None
 
     async def _answer(self, door: Door, content: bytes) -> Answer:
         models = self._models.snapshot
@@ -87,20 +103,19 @@ class FastPath:
         request = door.parse(content)
         if is_light(request):
             if door.ask is not None:
-                return await self._turns.answer(door.ask(models, request))
+                return await self.turns.answer(door.ask(models, request))
             return door.predict(models, request)
         return await self._workers.run(door.predict, models, request)
 
-    def _door(self, scope: Scope) -> Door | None:
+    def _door(self, path: str, headers: Headers) -> Door | None:
         """The way in for this path, when the headers ask for nothing that needs a second look."""
-        path = scope["path"]
         door = DOORS.get(path)
         asked = _INFER_PATH.fullmatch(path) if door is None else None
         if door is None and asked is None:
             return None
         declared = door is None  # /v2 reads bytes, however they are declared
         authorization = header_length = None
-        for name, value in scope["headers"]:
+        for name, value in headers:
             if name == b"content-type":
                 declared = declared or value == b"application/json"
             elif name == b"authorization":

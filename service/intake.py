@@ -124,17 +124,28 @@ class Intake:
         finally:
             self.held_bytes -= len(content)
 
-    def _admit(self, scope: Scope) -> object:
-        """Who asks, as far as that is counted."""
+    def refusal(self, scope: Scope) -> CazslError | None:
+        """Why a request cannot be answered now, if it cannot."""
         limits = self._limits
         if self.in_flight >= limits.in_flight:
-            raise OverloadedError(f"{limits.in_flight} requests in flight")
-        if not limits.in_flight_per_caller:
+            return OverloadedError(f"{limits.in_flight} requests in flight")
+        if limits.in_flight_per_caller and self._callers[self._caller(scope)] >= limits.in_flight_per_caller:
+            return TooManyRequestsError(limits.in_flight_per_caller)
+        return None
+
+    def _caller(self, scope: Scope) -> object:
+        """Who asks, as far as that is counted."""
+        if not self._limits.in_flight_per_caller:
             return None
-        caller: object = authorization_of(scope["headers"]) or (scope["client"] or ("",))[0]
-        if self._callers[caller] >= limits.in_flight_per_caller:
-            raise TooManyRequestsError(limits.in_flight_per_caller)
-        self._callers[caller] += 1
+        return authorization_of(scope["headers"]) or (scope["client"] or ("",))[0]
+
+    def _admit(self, scope: Scope) -> object:
+        refusal = self.refusal(scope)
+        if refusal is not None:
+            raise refusal
+        caller = self._caller(scope)
+        if caller is not None:
+            self._callers[caller] += 1
         return caller
 
     def _leave(self, caller: object) -> None:
@@ -151,7 +162,7 @@ class Intake:
             BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit; none of it is held any more.
         """
         limits = self._limits
-        if _declared_length(scope) > limits.body_bytes:
+        if declared_length(scope) > limits.body_bytes:
             raise BodyTooLargeError(limits.body_bytes)
         parts: list[bytes] = []
         size, more = 0, True
@@ -176,7 +187,8 @@ class Intake:
         return parts[0] if len(parts) == 1 else b"".join(parts)
 
 
-def _declared_length(scope: Scope) -> int:
+def declared_length(scope: Scope) -> int:
+    """How many bytes a body says that it has; 0 when it does not say."""
     for name, value in scope["headers"]:
         if name == b"content-length" and value.isdigit():
             return int(value[:18])

@@ -16,8 +16,9 @@ from typing import Final
 
 import uvicorn
 
+from service.connections import LEAVE
+
 _QUEUE_S: Final = 0.05
-_LEAVE: Final = (b"connection", b"close")
 
 
 class DrainingServer(uvicorn.Server):
@@ -36,8 +37,8 @@ class DrainingServer(uvicorn.Server):
             super().handle_exit(sig, frame)
             return
         self._closes_at = time.monotonic() + self._drain_s
-        self.config.encoded_headers.append(_LEAVE)  # from which uvicorn makes its headers anew, every second
-        self.server_state.default_headers = [*self.server_state.default_headers, _LEAVE]
+        self.config.encoded_headers.append(LEAVE)  # from which uvicorn makes its headers anew, every second
+        self.server_state.default_headers = [*self.server_state.default_headers, LEAVE]
 
     async def on_tick(self, counter: int) -> bool:
         """Ten times a second: whether to close."""

@@ -129,9 +129,7 @@ class RequestTelemetry:
             await self.app(scope, receive, send)
             return
         started = time.perf_counter()
-        request_id = self._id_of(scope)
-        state = scope.setdefault("state", {})
-        state["request_id"] = request_id
+        request_id = self.begin(scope)
         parts: Parts = []
         listen(parts)
         header = (_ID_HEADER, request_id.encode())
@@ -153,7 +151,13 @@ class RequestTelemetry:
                 raise
             await self._internal_error(scope, receive, send_with_id)
         finally:
-            self._note(scope, status, time.perf_counter() - started, parts)
+            self.note(scope, status, time.perf_counter() - started, parts)
+
+    def begin(self, scope: Scope) -> str:
+        """Give a request its id."""
+        request_id: str = self._id_of(scope)
+        scope.setdefault("state", {})["request_id"] = request_id
+        return request_id
 
     def _id_of(self, scope: Scope) -> str:
         """The caller's id when it is safe to log, else one of our own: random for the process, counted within it."""
@@ -162,7 +166,8 @@ class RequestTelemetry:
                 return str(value, "ascii")
         return f"{self._process}{next(self._count):012x}"
 
-    def _note(self, scope: Scope, status: int, duration_s: float, parts: Parts) -> None:
+    def note(self, scope: Scope, status: int, duration_s: float, parts: Parts) -> None:
+        """Count and log a request that began, and was answered or left."""
         state = scope["state"]
         noted = state.get("log", _NOTHING)
         template = route_of(scope)

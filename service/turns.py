@@ -7,8 +7,9 @@ whatever stands beside it (``predictor`` sees to that), and where a call fails, 
 """
 
 import asyncio
+import logging
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextvars import Context
 from typing import Final
 
@@ -20,7 +21,10 @@ from service.stopwatch import took
 
 MOST_PUSHES: Final = 64  # of one call, which holds the loop for as long: a tenth of a millisecond
 Gaussian = tuple[FloatArray, FloatArray, float]  # mean and std (1, 3), and the seconds that the call took
-Waiting = tuple[Question, "asyncio.Future[Gaussian]"]
+Tell = Callable[[Gaussian | Exception], None]
+Waiting = tuple[Question, Tell]
+
+logger = logging.getLogger(__name__)
 
 
 class Turns:
@@ -29,22 +33,35 @@ class Turns:
     def __init__(self) -> None:
         self._waiting: list[Waiting] = []
 
+    def ask(self, question: Question, tell: Tell) -> None:
+        """Ask about one push at the end of this turn; ``tell`` gets the outcome, an error as it was raised."""
+        if not self._waiting:  # of no request: each is told its own time
+            asyncio.get_running_loop().call_soon(self.end, context=Context())
+        self._waiting.append((question, tell))
+
     async def answer(self, question: Question) -> Answer:
         """The answer to a question of one push.
 
         Raises:
             ContextKindError, PredictionError: as ``Question.answer``.
         """
-        loop = asyncio.get_running_loop()
-        future: asyncio.Future[Gaussian] = loop.create_future()
-        if not self._waiting:
-            loop.call_soon(self._ask, context=Context())  # of no request: each tells its own time below
-        self._waiting.append((question, future))
+        future: asyncio.Future[Gaussian] = asyncio.get_running_loop().create_future()
+
+        def tell(outcome: Gaussian | Exception) -> None:
+            if future.done():  # its client has left
+                return
+            if isinstance(outcome, Exception):
+                future.set_exception(outcome)
+            else:
+                future.set_result(outcome)
+
+        self.ask(question, tell)
         mean, std, seconds = await future
         took("inference", seconds)
         return question.answered(mean, std)
 
-    def _ask(self) -> None:
+    def end(self) -> None:
+        """Ask about what waits, now."""
         waiting, self._waiting = self._waiting, []
         for group in _groups(waiting):
             _settle(group)
@@ -72,12 +89,18 @@ def _settle(group: Sequence[Waiting]) -> None:
         if len(group) > 1:
             for one in group:
                 _settle([one])
-        elif not group[0][1].done():
-            group[0][1].set_exception(error)
+        else:
+            _tell(group[0][1], error)
         return
-    for (_, future), gaussian in zip(group, found, strict=True):
-        if not future.done():  # or its client has left
-            future.set_result(gaussian)
+    for (_, tell), gaussian in zip(group, found, strict=True):
+        _tell(tell, gaussian)
+
+
+def _tell(tell: Tell, outcome: Gaussian | Exception) -> None:
+    try:
+        tell(outcome)
+    except Exception:  # as above
+        logger.exception("an answer was lost")
 
 
 def _predict(questions: Sequence[Question]) -> list[Gaussian]:

@@ -3,39 +3,13 @@
 import asyncio
 import gc
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import pytest
 from starlette.responses import PlainTextResponse
-from uvicorn import Config
-from uvicorn.server import ServerState
 
-from service.connections import PairedWrites, bounded_connection
-
-
-class FakeTransport(asyncio.Transport):
-    """Remembers what each call to the system would have carried."""
-
-    def __init__(self) -> None:
-        super().__init__({"peername": ("192.0.2.1", 5)})
-        self.sent: list[bytes] = []
-        self.closed = False
-
-    def write(self, data: bytes | bytearray | memoryview) -> None:
-        """One call."""
-        self.sent.append(bytes(data))
-
-    def writelines(self, list_of_data: Iterable[bytes | bytearray | memoryview]) -> None:
-        """One call too."""
-        self.write(b"".join(list_of_data))
-
-    def is_closing(self) -> bool:
-        """Whether it was closed."""
-        return self.closed
-
-    def close(self) -> None:
-        """No more."""
-        self.closed = True
+from service.connections import PairedWrites
+from tests.wires import FakeTransport, Wire
 
 
 def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
@@ -114,14 +88,11 @@ def test_a_connection_that_is_lost_is_not_held_until_its_time_is_over(said: byte
 
     async def run() -> object:
         """Open, say something, and be gone; what is left of it while the loop goes on."""
-        config = Config(PlainTextResponse("fine"), log_config=None)
-        config.load()
-        connection = bounded_connection(3600.0, lambda code: None)(config, ServerState(), {})
-        connection.connection_made(FakeTransport())
-        connection.data_received(said)
-        connection.connection_lost(ConnectionResetError())
-        left = weakref.ref(connection)
-        del connection
+        wire = Wire(PlainTextResponse("fine"), None)
+        wire.say(said)
+        wire.lose()
+        left = weakref.ref(wire.connection)
+        del wire
         gc.collect()
         return left()
 

@@ -1,6 +1,5 @@
 """The short way gives the bytes that the long way gives, and leaves everything unusual to it."""
 
-import base64
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -25,11 +24,10 @@ from service.settings import Settings
 from service.telemetry import RequestLog, RequestTelemetry
 from service.workers import Workers
 from tests.fakes import FAILING, fake_models, publish_fake
+from tests.questions import ODD, PUSHER, VISUAL, contexts, numbers, pushes, references
 
 PLAIN = {"Content-Type": "application/json"}
 LONG = {"Content-Type": "application/json; charset=utf-8"}  # means the same, and is not worth a place in the short way
-PUSHER = {"x": -0.075, "y": 0.0, "angle": 0.0}
-VISUAL = base64.b64encode(bytes(1024)).decode()
 Served = tuple[Registry, LoadedModels]
 
 
@@ -72,24 +70,6 @@ def both_ways(client: TestClient, path: str, content: bytes) -> tuple[Response, 
     return short, long
 
 
-numbers = st.one_of(
-    st.floats(-1.0, 1.0),
-    st.integers(-2, 2),
-    st.sampled_from([1e-7, 3e-5, 1e16, -0.0, 5e-324, 1e308, 10**30, True, None, "0.1"]),
-)
-poses = st.fixed_dictionaries({"x": numbers, "y": numbers, "angle": numbers})
-contexts = st.one_of(
-    st.none(),
-    st.sampled_from(["1a2b3c4a", "4a4a4a4a", "9z", ""]).map(lambda text: {"descriptor": text}),
-    st.lists(st.sampled_from([0, 1, 1.0, 2]), min_size=35, max_size=37).map(lambda bits: {"indicator": bits}),
-    st.sampled_from([{"visual": VISUAL}, {"visual": [[0.5] * 32] * 32}, {"visual": [[2]]}, {"visual": "?"}, {}]),
-)
-references = st.sampled_from(
-    [None, "push-none", "push-indicator@1", "push-visual@champion", "push-failing", "nobody", "../x"]
-)
-pushes = st.fixed_dictionaries(
-    {"pusher": poses}, optional={"context": contexts, "model": references, "object_pose": poses, "other": st.none()}
-)
 rows = st.lists(st.lists(numbers, min_size=2, max_size=4), max_size=4)
 batches = st.fixed_dictionaries(
     {"pushers": rows},
@@ -123,20 +103,6 @@ def test_broken_bytes_get_the_same_bytes_both_ways(client: TestClient, noise: by
     """A good body with a piece replaced by noise."""
     good = json.dumps({"pusher": PUSHER, "context": {"descriptor": "1a2b3c4a"}}).encode()
     both_ways(client, "/v1/predict", good[:start] + noise + good[end:])
-
-
-ODD = {
-    "one key twice": b'{"pusher": {"x": 9, "x": 0, "y": 0, "angle": 0}}',
-    "NaN": b'{"pusher": {"x": NaN, "y": 0, "angle": 0}}',
-    "a surrogate": b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "model": "\\ud800"}',
-    "a byte order mark": b'\xef\xbb\xbf{"pusher": {"x": 0, "y": 0, "angle": 0}}',
-    "a deep list": b'{"pusher": ' + b"[" * 5000,
-    "deep and closed": b'{"pusher": ' + b"[" * 150 + b"]" * 150 + b"}",
-    "a long number": b'{"pusher": {"x": ' + b"7" * 3000 + b', "y": 0, "angle": 0}}',
-    "an escaped key": b'{"\\u0070usher": {"x": 0, "y": 0, "angle": 0}}',
-    "a failing model": b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"descriptor": "1a2b3c4a"}, '
-    b'"model": "push-failing"}',
-}
 
 
 @pytest.mark.parametrize("name", ODD)
