@@ -164,6 +164,13 @@ def publish(
 @click.option("--all", "everything", is_flag=True, help="Every experiment, in the paper's order.")
 @click.option("--epochs", type=click.IntRange(1), help="Epochs per run. [default: the paper's]")
 @click.option("--seeds", type=click.IntRange(1), help="Seeds per row. [default: 3; gaussian-process 10, as the paper]")
+@click.option(
+    "--cooling",
+    type=click.IntRange(0),
+    default=0,
+    metavar="EPOCHS",
+    help="Let the learning rate fall to nothing over the last EPOCHS. [default: 0, constant as the paper has it]",
+)
 @click.option("--skip", type=click.Choice([*METHODS]), multiple=True, help="A row to leave out; ANP costs most of all.")
 @click.option(
     "--out",
@@ -187,6 +194,7 @@ def reproduce(
     everything: bool,
     epochs: int | None,
     seeds: int | None,
+    cooling: int,
     skip: tuple[str, ...],
     out: Path,
     jobs: int | None,
@@ -220,12 +228,15 @@ def reproduce(
     from training import report  # matplotlib is slow to load, and no other command of training needs it
 
     for name in EXPERIMENTS if everything else names:
-        experiment = experiments()[name].without(skip)
+        experiment = replace(experiments()[name].without(skip), cooling_epochs=cooling)
         rounds, runs = epochs or experiment.epochs, seeds or experiment.seeds
+        if cooling > rounds:
+            raise click.UsageError(f"--cooling: received {cooling}; accepted is up to {rounds}, the epochs of {name}")
         read = reproduction.data_reader(experiment, folder, views)
-        earlier = {} if known is None else figures.read_figures(known, name, rounds)
+        earlier = {} if known is None else figures.read_figures(known, experiment, rounds)
         results = reproduction.reproduce(experiment, read, out / name, runs, rounds, workforce=workforce, known=earlier)
         command = f"cazsl-train reproduce {name} --epochs {rounds} --seeds {runs} --out {out}"
+        command += f" --cooling {cooling}" if cooling else ""
         command += "".join(f" --skip '{method}'" for method in skip)
         command += "" if known is None else f" --known {known}"
         command += "" if name == GAUSSIAN_PROCESS else _data_words(folder, views)

@@ -117,6 +117,7 @@ class Experiment:
     batch_objects: int
     lambdas: Mapping[str, tuple[float, float]]  # by kind of context
     precision: str
+    cooling_epochs: int = 0  # over which the rate falls to nothing at the end; the paper's is constant
 
     @property
     def cells(self) -> tuple[Cell, ...]:
@@ -154,6 +155,7 @@ class Experiment:
             lambda_2=lambda_2,
             precision=self.precision,
             seed=seed,
+            cooling_epochs=self.cooling_epochs,
         )
 
 

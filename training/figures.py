@@ -12,19 +12,20 @@ import torch
 import service
 from service.errors import DataError
 from training.evaluate import Evaluation
-from training.experiments import Cell
+from training.experiments import Cell, Experiment
 from training.reproduction import Result
 
 FIGURES_FILE: Final = "figures.json"
 
 
-def raw_figures(experiment: str, command: str, seeds: int, epochs: int, results: Sequence[Result]) -> str:
+def raw_figures(experiment: Experiment, command: str, seeds: int, epochs: int, results: Sequence[Result]) -> str:
     """Every figure of every run as JSON, with what made it."""
     document: dict[str, Any] = {
-        "experiment": experiment,
+        "experiment": experiment.name,
         "command": command,
         "seeds": seeds,
         "epochs": epochs,
+        "cooling_epochs": experiment.cooling_epochs,
         "code_version": service.__version__,
         "torch": torch.__version__,
         "machine": platform.machine(),
@@ -33,24 +34,25 @@ def raw_figures(experiment: str, command: str, seeds: int, epochs: int, results:
     return json.dumps(document, indent=2) + "\n"
 
 
-def read_figures(path: Path, experiment: str, epochs: int) -> dict[tuple[Cell, int], Result]:
+def read_figures(path: Path, experiment: Experiment, epochs: int) -> dict[tuple[Cell, int], Result]:
     """The runs of an earlier reproduction of this experiment, by cell and seed.
 
     Raises:
-        DataError: it is none, or of another experiment, another number of epochs or another version of the code.
+        DataError: it is none, or of another experiment, number of epochs, cooling or version of the code.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        found = tuple(document[key] for key in ("experiment", "epochs", "code_version"))
+        found = (
+            *(document[key] for key in ("experiment", "epochs", "code_version")),
+            document.get("cooling_epochs", 0),
+        )
         results = [_result(run) for run in document["runs"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise DataError(f"{path} holds no figures of a reproduction; name a {FIGURES_FILE} that one wrote") from error
-    wanted = (experiment, epochs, service.__version__)
+    wanted = (experiment.name, epochs, service.__version__, experiment.cooling_epochs)
     if found != wanted:
-        raise DataError(
-            f"{path} holds {found[0]}, {found[1]} epochs, code {found[2]}; "
-            f"wanted is {wanted[0]}, {wanted[1]} epochs, code {wanted[2]}"
-        )
+        words = "{}, {} epochs, code {}, cooled over {} epochs".format
+        raise DataError(f"{path} holds {words(*found)}; wanted is {words(*wanted)}")
     return {(result.cell, result.seed): result for result in results}
 
 

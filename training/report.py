@@ -54,7 +54,7 @@ class Reproduction:
 def write_report(made: Reproduction, folder: Path) -> Path:
     """Write the Markdown report, the plot and the raw figures; the report's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    raw = raw_figures(made.experiment.name, made.command, made.seeds, made.epochs, made.results)
+    raw = raw_figures(made.experiment, made.command, made.seeds, made.epochs, made.results)
     (folder / FIGURES_FILE).write_text(raw, encoding="utf-8")
     plot(made).savefig(folder / PLOT_FILE, metadata={"Software": None})
     path = folder / REPORT_FILE
@@ -77,6 +77,10 @@ def _heading(made: Reproduction) -> str:
     sources = sorted({source for origin in origins.values() for key, source in origin.items() if "source" in key})
     held = sum(claim.holds(_errors(made)) for table in made.experiment.tables for claim in table.claims)
     claims = sum(len(table.claims) for table in made.experiment.tables)
+    cooled = made.experiment.cooling_epochs
+    cooling = (
+        f" The learning rate falls to nothing over the last {cooled} epochs; the paper's does not." if cooled else ""
+    )
     shorter = "" if made.epochs == made.experiment.epochs else f" (the paper: {made.experiment.epochs})"
     return f"""# {made.experiment.name}
 
@@ -84,7 +88,7 @@ Data of every figure marked *ours*: **{"; ".join(sources)}**.
 The paper's figures are from its own data, which are not these: compare the order of the methods, not the digits.
 
 {held} of the paper's {claims} claims hold. {made.seeds} seeds per row, {made.epochs} epochs{shorter},
-{hours:.1f} hours of training on {devices}. To make this again:
+{hours:.1f} hours of training on {devices}.{cooling} To make this again:
 
 ```sh
 {made.command}

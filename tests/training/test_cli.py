@@ -1,5 +1,6 @@
 """``cazsl-train`` as a person uses it: figures and the next step on success, one line and status 1 otherwise."""
 
+import json
 import re
 import shutil
 from dataclasses import replace
@@ -18,6 +19,7 @@ from training.data import DATASET_FILE, OUTCOME_SUFFIX, PUSHER_SUFFIX, declare_d
 from training.evaluate import evaluate
 from training.fit import WEIGHTS_FILE, load_run
 from training.images import write_views
+from training.methods import FCN, METHODS
 from training.published import different_objects, different_surfaces, omnipush_descriptors
 from training.recipes import Recipe
 from training.samples import Samples
@@ -325,6 +327,27 @@ def test_reproduce_on_a_cluster_that_is_not_there_is_one_line(data_folder: Path,
     line = sole_line(cazsl_train("reproduce", "gaussian-process", "--ray", "127.0.0.1:1", *options))
 
     assert "--ray: received 127.0.0.1:1, where no Ray cluster answers; accepted is" in line
+
+
+def test_reproduce_tells_of_cooling_and_passes_it_on(tmp_path: Path) -> None:
+    """In the report's first lines, in its command, and in every recipe."""
+    skipped = [word for method in METHODS if method != FCN for word in ("--skip", method)]
+    options = ("--epochs", "4", "--seeds", "1", "--cooling", "2", "--jobs", "1", "--out", tmp_path, *skipped)
+    assert cazsl_train("reproduce", "gaussian-process", *options).exit_code == 0
+
+    text = (tmp_path / "gaussian-process/README.md").read_text()
+    assert "falls to nothing over the last 2 epochs" in text
+    assert "--epochs 4 --seeds 1 --out" in text
+    assert " --cooling 2 " in text
+    configs = [json.loads(path.read_text()) for path in tmp_path.rglob("config.json")]
+    assert [config["recipe"]["cooling_epochs"] for config in configs] == [2]
+
+
+def test_reproduce_cannot_cool_for_longer_than_it_trains() -> None:
+    """One line that says how long may be."""
+    result = cazsl_train("reproduce", "gaussian-process", "--epochs", "4", "--cooling", "5")
+    assert result.exit_code == 2
+    assert "--cooling: received 5; accepted is up to 4, the epochs of gaussian-process" in result.output
 
 
 def test_reproduce_of_an_unknown_experiment_lists_those_that_exist() -> None:
