@@ -149,8 +149,10 @@ def _limits(settings: Settings) -> IntakeLimits:
 
 
 async def _poll(models: LoadedModels, interval_s: float, looked: asyncio.Event) -> None:
-    """Look for new versions and moved aliases, now and for as long as the app lives."""
+    """Look for new versions and moved aliases, now and for as long as the app lives: from look to look so many s."""
+    loop = asyncio.get_running_loop()
     while True:
+        began = loop.time()
         try:
             await asyncio.to_thread(models.refresh)
         except Exception:  # the outermost ring of this task: a bug here must not end the looking, unseen
@@ -159,7 +161,7 @@ async def _poll(models: LoadedModels, interval_s: float, looked: asyncio.Event) 
             gc.collect()
             gc.freeze()  # what is here now stays: walking it again and again cost 5 us a push, and a pause now and then
             looked.set()
-        await asyncio.sleep(interval_s)
+        await asyncio.sleep(max(0.0, began + interval_s - loop.time()))
 
 
 async def _probe(readiness: Readiness, interval_s: float) -> None:
