@@ -1,9 +1,9 @@
 """The short way to a prediction: from bytes to bytes without the web framework's machinery.
 
 It answers what is in order, and nothing else: a request with an unusual header, a fault, or a model that is not there
-goes on to the framework's routes as if this room did not exist, and they say what is wrong. The short way validates
-with the same schemas, asks the same functions and holds the same bounds, so a test can demand that both give the same
-bytes for every request.
+goes on to the framework's routes as if this room did not exist, and they say what is wrong. Only what took too long is
+refused here: they would begin it again. The short way validates with the same schemas, asks the same functions and
+holds the same bounds, so a test can demand that both give the same bytes for every request.
 """
 
 import re
@@ -14,13 +14,14 @@ from typing import Any, Final
 from pydantic import ValidationError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.errors import CazslError
+from service.errors import CazslError, DeadlineError
 from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer
 from service.intake import WholeBody
 from service.keys import Keys
 from service.keys import Scope as KeyScope
 from service.loaded_models import LoadedModels, Snapshot
 from service.predictions import Answer, Question, ask_one, is_light, predict_batch, predict_one
+from service.problems import problem_response
 from service.requests import BatchRequest, PredictRequest
 from service.turns import Turns
 from service.workers import Workers
@@ -32,7 +33,7 @@ _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 class Door:
     """How the bodies of one route are read and answered."""
 
-    route: str
+    path: str  # its template; named as the framework's routes name theirs
     parse: Callable[[bytes], Any]
     predict: Callable[[Snapshot, Any], Answer]
     ask: Callable[[Snapshot, Any], Question] | None = None  # where there is one push to ask about, with others
@@ -43,7 +44,7 @@ class Door:
 
 
 DOORS: Final = {
-    door.route: door
+    door.path: door
     for door in (
         Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one),
         Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
@@ -72,10 +73,14 @@ class FastPath:
         content = (await receive())["body"]  # whole: the intake saw to it
         try:
             answer = await self._answer(door, content)
+        except DeadlineError as error:
+            scope["route"] = door
+            await problem_response(scope, error)(scope, receive, send)
+            return
         except (ValidationError, CazslError):
             await self._app(scope, WholeBody(content, receive), send)
             return
-        scope["state"]["log"] = answer.log() | {"route": door.route}
+        scope["state"]["log"] = answer.log() | {"route": door.path}
         headers = [(b"content-length", b"%d" % len(answer.content)), *answer.headers]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         await send({"type": "http.response.body", "body": answer.content})
