@@ -28,10 +28,12 @@ def documentation(title: str) -> APIRouter:
 
     @router.get("/docs")
     async def show() -> Response:
+        """The page."""
         return page
 
     @router.get("/docs/{part}")
     async def show_part(part: str, request: Request) -> Response:
+        """A script, a style or a picture of it."""
         response = await parts.get_response(part, request.scope)
         response.headers["Cache-Control"] = "no-cache"  # asked for again after an update; unchanged, it is a 304
         return response
