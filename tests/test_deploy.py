@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
 from functools import cache
@@ -16,6 +17,7 @@ import promql_parser
 import pytest
 import yaml
 from fastapi.testclient import TestClient
+from packaging.requirements import Requirement
 from prometheus_client.parser import text_string_to_metric_families
 
 import service
@@ -286,3 +288,19 @@ def test_the_dashboards_panels_stand_beside_each_other() -> None:
         assert place["x"] + place["w"] <= 24
         taken |= cells
     assert len({panel["id"] for panel in DASHBOARD["panels"]}) == len(DASHBOARD["panels"])
+
+
+@pytest.mark.parametrize(("lock", "extras"), [("serving", ()), ("s3", ("s3",)), ("all", ("s3", "signing", "otel"))])
+def test_the_image_holds_versions_that_fit_what_is_declared(lock: str, extras: tuple[str, ...]) -> None:
+    """``make lock`` was run after the last change of dependencies; each version has its digests."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    text = (DEPLOY / "locks" / f"{lock}.txt").read_text(encoding="utf-8")
+    lines = re.findall(r"^([a-z0-9-]+)==([^ ;\\]+).*?(\\\n +--hash=sha256:|$)", text, re.MULTILINE)
+    assert all(digests.strip() for _, _, digests in lines)
+    pinned = {name: version for name, version, _ in lines}
+    declared = [
+        *project["dependencies"],
+        *(entry for extra in extras for entry in project["optional-dependencies"][extra]),
+    ]
+    for wanted in map(Requirement, declared):
+        assert pinned[wanted.name] in wanted.specifier, wanted
