@@ -13,6 +13,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 import service
 from service import monitoring, open_inference, routes
 from service.access import may_predict
+from service.documentation import documentation
 from service.errors import CazslError, ForbiddenError, MissingKeyError
 from service.examples import give_examples, problems, protocol_errors
 from service.fast_path import FastPath
@@ -103,6 +104,8 @@ def create_app(
         version=service.__version__,
         description=DESCRIPTION,
         lifespan=lifespan,
+        docs_url=None,  # ours asks no other host
+        redoc_url=None,
         redirect_slashes=False,  # a redirect would name the host that the request claimed
     )
     app.state.models = models
@@ -129,6 +132,7 @@ def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:
     """Every route, those that predict or tell of models behind a key where keys are wanted."""
     guard = [Depends(may_predict)] if guarded else []
     refusals = (MissingKeyError, ForbiddenError) if guarded else ()
+    app.include_router(documentation(app.title))
     app.include_router(routes.health)
     app.include_router(routes.router, dependencies=guard, responses=problems(ProblemBody, *refusals))
     app.include_router(routes.uploads, dependencies=guard, responses=problems(ProblemBody, *refusals))

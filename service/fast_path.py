@@ -1,9 +1,9 @@
 """The short way to a prediction: from bytes to bytes without the web framework's machinery.
 
 It answers what is in order, and nothing else: a request with an unusual header, a fault, or a model that is not there
-goes on to the framework's routes as if this room did not exist, and they say what is wrong. The short way validates
-with the same schemas, asks the same functions and holds the same bounds, so a test can demand that both give the same
-bytes for every request.
+goes on to the framework's routes as if this room did not exist, and they say what is wrong. Only what took too long is
+refused here: they would begin it again. The short way validates with the same schemas, asks the same functions and
+holds the same bounds, so a test can demand that both give the same bytes for every request.
 """
 
 import re
@@ -14,13 +14,14 @@ from typing import Any, Final
 from pydantic import ValidationError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.errors import CazslError
+from service.errors import CazslError, DeadlineError
 from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer
 from service.intake import WholeBody
 from service.keys import Keys
 from service.keys import Scope as KeyScope
 from service.loaded_models import LoadedModels, Snapshot
 from service.predictions import Answer, Question, ask_one, is_light, predict_batch, predict_one
+from service.problems import problem_response
 from service.requests import BatchRequest, PredictRequest
 from service.turns import Turns
 from service.workers import Workers
@@ -33,9 +34,10 @@ _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 class Door:
     """How the bodies of one route are read and answered."""
 
-    route: str
+    path: str  # its template; named as the framework's routes name theirs
     parse: Callable[[bytes], Any]
     predict: Callable[[Snapshot, Any], Answer]
+    is_light: Callable[[Any], bool] = is_light  # whether a request of few bytes may be answered in the event loop
     ask: Callable[[Snapshot, Any], Question] | None = None  # where there is one push to ask about, with others
 
     def answer(self, models: Snapshot, content: bytes) -> Answer:
@@ -44,13 +46,13 @@ class Door:
 
 
 DOORS: Final = {
-    door.route: door
+    door.path: door
     for door in (
-        Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one),
+        Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one, ask=ask_one),
         Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
     )
 }
-SINGLE: Final = frozenset(door.route for door in DOORS.values() if door.ask is not None)
+SINGLE: Final = frozenset(door.path for door in DOORS.values() if door.ask is not None)
 _INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")
 _INFER_ROUTES: Final = ("/v2/models/{name}/infer", "/v2/models/{name}/versions/{version}/infer")
 
@@ -75,10 +77,14 @@ class FastPath:
         content = (await receive())["body"]  # whole: the intake saw to it
         try:
             answer = await self._answer(door, content)
+        except DeadlineError as error:
+            scope["route"] = door
+            await problem_response(scope, error)(scope, receive, send)
+            return
         except (ValidationError, CazslError):
             await self._app(scope, WholeBody(content, receive), send)
             return
-        scope["state"]["log"] = answer.log() | {"route": door.route}
+        scope["state"]["log"] = answer.log() | {"route": door.path}
         headers = [*answer.headers, (b"content-length", b"%d" % len(answer.content))]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         await send({"type": "http.response.body", "body": answer.content})
@@ -94,14 +100,14 @@ class FastPath:
             ValidationError, CazslError: it is not in order.
         """
         request = door.parse(content)
-        return door.ask(self._models.snapshot, request) if door.ask is not None and is_light(request) else None
+        return door.ask(self._models.snapshot, request) if door.ask is not None and door.is_light(request) else None
 
     async def _answer(self, door: Door, content: bytes) -> Answer:
         models = self._models.snapshot
         if len(content) > LIGHT_BYTES:
             return await self._workers.run(door.answer, models, content)
         request = door.parse(content)
-        if is_light(request):
+        if door.is_light(request):
             if door.ask is not None:
                 return await self.turns.answer(door.ask(models, request))
             return door.predict(models, request)
@@ -130,7 +136,9 @@ class FastPath:
             return door
         model, version = asked["model"], asked["version"]
         route = _INFER_ROUTES[version is not None]
-        return Door(route, lambda content: InferRequest(model, version, header_length, content), infer)
+        return Door(
+            route, lambda content: InferRequest(model, version, header_length, content), infer, InferRequest.is_light
+        )
 
     def _admits(self, authorization: bytes | None) -> bool:
         try:

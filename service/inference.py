@@ -28,7 +28,8 @@ from service.requests import REACH_M
 from service.tensors import Array, InferPart, read_inputs, read_json, render
 
 LENGTH_HEADER: Final = "inference-header-content-length"
-LIGHT_BYTES: Final = 16 * 1024  # as much is answered in about the time that handing it to a thread takes
+LIGHT_BYTES: Final = 16 * 1024  # of JSON: as much is answered in about the time that handing it to a thread takes
+_LIGHT_BINARY_BYTES: Final = 4 * 1024  # as many pushes take less room as numbers
 _OUTPUT_NAMES: Final = tuple(tensor.name for tensor in OUTPUTS)
 _WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
 
@@ -41,6 +42,10 @@ class InferRequest:
     version: str | None
     header_length: str | None
     content: bytes
+
+    def is_light(self) -> bool:
+        """Whether it may be answered in the event loop."""
+        return len(self.content) <= (LIGHT_BYTES if self.header_length is None else _LIGHT_BINARY_BYTES)
 
 
 def parse_reference(model: str, version: str | None) -> ModelReference:

@@ -28,7 +28,7 @@ from service.errors import (
     UnsupportedMediaTypeError,
 )
 from service.examples import protocol_errors
-from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer, inflate, parse_reference
+from service.inference import LENGTH_HEADER, InferRequest, infer, inflate, parse_reference
 from service.inference_bodies import (
     RAW_ANSWER,
     ErrorBody,
@@ -207,7 +207,7 @@ async def _ask(request: Request, name: str, version: str | None) -> Response:
     if encoding is not None and encoding.lower() != "identity":
         content = await workers_of(request).run(inflate, content, encoding, request.app.state.max_body_bytes)
     asked = InferRequest(name, version, request.headers.get(LENGTH_HEADER), content)
-    if len(content) <= LIGHT_BYTES:
+    if asked.is_light():
         return respond(request, infer(snapshot_of(request), asked))
     return respond(request, await workers_of(request).run(infer, snapshot_of(request), asked))
 

@@ -150,13 +150,13 @@ def predict_upload(models: Snapshot, upload: Upload) -> Answer:
     return Question(model, pushers, objects, batch.objects(), _columns).answer()
 
 
-def is_light(request: object) -> bool:
+def is_light(request: PredictRequest | BatchRequest) -> bool:
     """Whether a request of few bytes may be answered in the event loop."""
     if isinstance(request, BatchRequest):
         contexts = request.contexts or ()
         few = len(request.pushers) <= LIGHT_PUSHES and len(contexts) <= LIGHT_PUSHES
         return few and all(context.image is None for context in contexts)
-    return not isinstance(request, PredictRequest) or request.context is None or request.context.image is None
+    return request.context is None or request.context.image is None
 
 
 def _object(request: PredictRequest) -> Objects:

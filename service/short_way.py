@@ -90,7 +90,7 @@ class ShortWay:
         answer = question.answered(mean, std)
         scope = request.scope
         request_id = self._telemetry.begin(scope)
-        scope["state"]["log"] = answer.log() | {"route": request.door.route}
+        scope["state"]["log"] = answer.log() | {"route": request.door.path}
         length = (b"content-length", b"%d" % len(answer.content))
         reply((*answer.headers, length, (b"x-request-id", request_id.encode())), answer.content)
         self._telemetry.note(scope, _OK, time.perf_counter() - request.began_s, [("inference", seconds)])

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Event, Semaphore
 
 import numpy as np
 
@@ -24,6 +25,7 @@ STD = (0.001, 0.002, 0.03)
 BROKEN = b"broken"  # a model that the fake factory refuses
 LYING = b"lying"  # a model that loads and fails its self-check
 FAILING = b"failing"  # a model that passes its self-check and fails on every other push
+BUGGY = b"buggy"  # likewise, with an error that nobody expects
 CHECKED_PUSH = [-0.08, 0.0, 0.0]
 
 
@@ -40,14 +42,49 @@ class FakePredictor:
     ) -> tuple[FloatArray, FloatArray]:
         """See ``service.predictor.Predictor``."""
         self.calls.append(pusher)
-        if self.model == FAILING and pusher[0].tolist() != np.array(CHECKED_PUSH, dtype=np.float32).tolist():
+        if self.model == FAILING and not is_checked(pusher):
             raise PredictionError("the fake fails")
+        if self.model == BUGGY and not is_checked(pusher):
+            raise ZeroDivisionError("the fake has a bug")
         mean = np.asarray(-pusher / 10.0, dtype=np.float32)
         if self.kind is not ContextKind.NONE and context is not None and context_index is not None:
             mean[:, 2] = context.reshape(len(context), -1).sum(axis=1)[context_index]
         if self.model == LYING:
             mean = mean + np.float32(1.0)
         return mean, np.tile(np.array(STD, dtype=np.float32), (len(pusher), 1))
+
+
+def is_checked(pusher: FloatArray) -> bool:
+    """Whether these are the pushes of a self-check."""
+    return bool(pusher[0].tolist() == np.array(CHECKED_PUSH, dtype=np.float32).tolist())
+
+
+@dataclass
+class Gate:
+    """Holds every prediction that is no self-check, and tells of it, until it is opened."""
+
+    reached: Semaphore = field(default_factory=lambda: Semaphore(0))
+    opened: Event = field(default_factory=Event)
+
+    def load(self, model: bytes, kind: ContextKind) -> "HeldPredictor":
+        """A predictor factory."""
+        return HeldPredictor(model, kind, gate=self)
+
+
+@dataclass
+class HeldPredictor(FakePredictor):
+    """Answers once its gate is open."""
+
+    gate: Gate = field(default_factory=Gate)
+
+    def predict(
+        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """See ``service.predictor.Predictor``."""
+        if not is_checked(pusher):
+            self.gate.reached.release()
+            self.gate.opened.wait()
+        return super().predict(pusher, context, context_index)
 
 
 def load_fake(model: bytes, kind: ContextKind) -> FakePredictor:

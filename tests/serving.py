@@ -5,6 +5,7 @@ becomes options ``--env NAME=VALUE`` and ``{folder}`` the folder that holds the 
 """
 
 import http.client
+import io
 import os
 import shlex
 import shutil
@@ -16,15 +17,24 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
+import httpx2
 import numpy as np
 import onnx
+import uvicorn
 from onnx import TensorProto, helper
 
+from service.app import create_app
+from service.connections import bounded_connection
 from service.contract import VISUAL_SIZE, ContextKind
+from service.loaded_models import LoadedModels
 from service.manifest import SelfCheck
 from service.predictor import OnnxPredictor
 from service.registry import Registry
+from service.settings import Settings
+from service.telemetry import RequestLog
 from tests.fakes import draft_manifest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -103,6 +113,25 @@ def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Po
     finally:
         process.kill()
         process.wait()
+
+
+@contextmanager
+def serve_in_thread(models: LoadedModels, **settings: Any) -> Iterator[httpx2.Client]:
+    """A service over these models, which may be fakes, on a real port of this process; a client of it."""
+    chosen = Settings(poll_interval_s=3600, **settings)
+    app = create_app(chosen, models, RequestLog(io.StringIO()))
+    connection = bounded_connection(chosen.body_timeout_s, app.state.requests.refuse)
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None, access_log=False, http=connection))
+    thread = Thread(target=server.run)
+    thread.start()
+    try:
+        wait_until(lambda: server.started)
+        port = server.servers[0].sockets[0].getsockname()[1]
+        with httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE_S) as client:
+            yield client
+    finally:
+        server.should_exit = True
+        thread.join()
 
 
 def _command(environment: dict[str, str], folder: Path) -> list[str]:

@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from service import errors
+from tests.documented import listed_errors
 from tests.serving import ROOT, serve
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
@@ -75,11 +76,6 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
 
 def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
     """With its status; errors of the registry, of data and of settings never leave as such."""
-    table = {
-        (int(status), code)
-        for status, codes in re.findall(r"^\| (\d{3}) \| (.*?) \|", PAGE, re.MULTILINE)
-        for code in re.findall(r"`(\w+)`", codes)
-    }
     known = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, errors.CazslError)]
     inner = {
         errors.RequestError,
@@ -90,4 +86,4 @@ def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
     }
     for kind in known:
         if kind not in inner and not issubclass(kind, errors.RegistryError):
-            assert (int(kind.status), kind.code) in table, kind
+            assert (int(kind.status), kind.code) in listed_errors(), kind

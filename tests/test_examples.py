@@ -1,12 +1,12 @@
-"""The examples of the OpenAPI document: each operation and answer has one, each is right, and each is what happens."""
+"""The examples of the OpenAPI document: each operation and answer has one, each is right, and each is what happens.
+
+Those of errors are provoked in tests/test_refusals.py.
+"""
 
 import base64
 import io
 import json
 from collections.abc import Iterator
-from functools import cache
-from pathlib import Path
-from typing import Any
 
 import jsonschema_rs
 import pytest
@@ -15,34 +15,14 @@ from httpx2 import Response
 from PIL import Image
 
 from service.app import create_app
-from service.contract import ContextKind
-from service.keys import Grant, Scope
 from service.loaded_models import LoadedModels
 from service.object_bodies import IMAGE_EXAMPLE
 from service.predictor import OnnxPredictor
 from service.registry import Registry
 from service.settings import Settings
 from service.uploads import FORM_TYPE
-from tests.fakes import FAILING, load_fake, publish_fake
+from tests.documented import Json, document, examples_of
 from tests.serving import ROOT
-
-Json = dict[str, Any]
-JSON = {"Content-Type": "application/json"}
-PUSH = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}}
-
-
-def make_client(models: LoadedModels, **settings: Any) -> TestClient:
-    """The app over these models."""
-    models.refresh()
-    return TestClient(create_app(Settings(poll_interval_s=3600, **settings), models), raise_server_exceptions=False)
-
-
-@cache
-def document() -> Json:
-    """What the app says of itself when it wants keys: every answer that there can be."""
-    app = create_app(Settings(keys=Path("nowhere")), LoadedModels(Registry(Path("nowhere")), OnnxPredictor))
-    return app.openapi()
-
 
 OPERATIONS = [
     (method, path, operation)
@@ -59,13 +39,6 @@ def media_of(operation: Json) -> Iterator[tuple[str, str, Json]]:
     for status, response in operation["responses"].items():
         for kind, media in response["content"].items():
             yield status, kind, media
-
-
-def examples_of(media: Json) -> dict[str, Json]:
-    """The examples of a media type by name, references followed."""
-    found = media.get("examples", {"": {"value": media["example"]}} if "example" in media else {})
-    known = document()["components"]["examples"]
-    return {name: known[one["$ref"].rpartition("/")[2]] if "$ref" in one else one for name, one in found.items()}
 
 
 def validator(schema: Json) -> jsonschema_rs.Draft202012Validator:
@@ -87,7 +60,9 @@ def test_every_request_and_every_answer_has_an_example_that_is_right(method: str
 @pytest.fixture(scope="module")
 def shipped() -> Iterator[TestClient]:
     """The app over the models that ship."""
-    with make_client(LoadedModels(Registry(ROOT / "models"), OnnxPredictor)) as client:
+    models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
+    models.refresh()
+    with TestClient(create_app(Settings(poll_interval_s=3600), models)) as client:
         yield client
 
 
@@ -156,93 +131,3 @@ def test_raw_answers_are_what_their_example_shows(shipped: TestClient) -> None:
     assert answer.headers["content-type"] == "application/octet-stream"
     heads = [json.loads(content[: content.index(b"]}") + 2]) for content in (shown, answer.content)]
     assert heads[0]["outputs"] == heads[1]["outputs"]
-
-
-def encoded(content: bytes) -> Json:
-    """A push of the object in an image."""
-    return {**PUSH, "context": {"image": base64.b64encode(content).decode()}}
-
-
-def wide_picture() -> bytes:
-    """More pixels on a side than are taken."""
-    buffer = io.BytesIO()
-    Image.new("L", (9000, 1)).save(buffer, "PNG")
-    return buffer.getvalue()
-
-
-def serve_shipped(_: Path) -> TestClient:
-    """The models that ship, and room for small bodies only."""
-    return make_client(LoadedModels(Registry(ROOT / "models"), OnnxPredictor), max_body_bytes=4096)
-
-
-def serve_nothing(folder: Path) -> TestClient:
-    """No model."""
-    return make_client(LoadedModels(Registry(folder / "empty"), load_fake))
-
-
-def serve_failing(folder: Path) -> TestClient:
-    """A model that fails on every push but its own check."""
-    publish_fake(Registry(folder / "models"), "push-none", ContextKind.NONE, FAILING)
-    return make_client(LoadedModels(Registry(folder / "models"), load_fake))
-
-
-def serve_with_keys(folder: Path) -> TestClient:
-    """A key that covers no prediction, sent with every request that sends none."""
-    made, key = Grant.new("grafana", frozenset([Scope.METRICS]))
-    (folder / "keys").write_text(made.line() + "\n")
-    client = make_client(LoadedModels(Registry(ROOT / "models"), OnnxPredictor), keys=folder / "keys")
-    client.headers["Authorization"] = f"Bearer {key}"
-    return client
-
-
-PREDICT, INFER = "/v1/predict", "/v2/models/push-indicator/infer"
-PLAIN = {**PUSH, "context": {"descriptor": "1a2b3c4a"}}
-PROVOKED: list[tuple[Any, str, str, str, Any, dict[str, str]]] = [
-    # who serves, code, template, path, what is sent, headers
-    (serve_shipped, "malformed_body", PREDICT, PREDICT, b"{", {}),
-    (serve_shipped, "unknown_model", PREDICT, PREDICT, {**PLAIN, "model": "push-other"}, {}),
-    (serve_shipped, "not_acceptable", PREDICT, PREDICT, PLAIN, {"Accept": "text/html"}),
-    (serve_shipped, "body_too_large", PREDICT, PREDICT, b" " * 5000, {}),
-    (serve_shipped, "image_too_large", PREDICT, PREDICT, encoded(wide_picture()), {}),
-    (serve_shipped, "unsupported_media_type", PREDICT, PREDICT, PLAIN, {"Content-Encoding": "gzip"}),
-    (serve_shipped, "unsupported_image", PREDICT, PREDICT, encoded(b"GIF89a"), {}),
-    (serve_shipped, "invalid_image", PREDICT, PREDICT, encoded(base64.b64decode(IMAGE_EXAMPLE)[:60]), {}),
-    (serve_shipped, "invalid_request", PREDICT, PREDICT, {**PUSH, "context": {"descriptor": "9a2b3c4a"}}, {}),
-    (serve_shipped, "wrong_context_kind", PREDICT, PREDICT, {**PLAIN, "model": "push-visual"}, {}),
-    (serve_shipped, "unknown_model", "/v1/models/{name}", "/v1/models/push-other", None, {}),
-    (serve_shipped, "invalid_request", "/v1/models/{name}", "/v1/models/" + "a" * 65, None, {}),
-    (serve_shipped, "not_acceptable", "/v1/models", "/v1/models", None, {"Accept": "text/html"}),
-    (serve_shipped, "malformed_body", "/v2/models/{name}/infer", INFER, b"{", {}),
-    (serve_shipped, "body_too_large", "/v2/models/{name}/infer", INFER, b" " * 5000, {}),
-    (serve_shipped, "unsupported_media_type", "/v2/models/{name}/infer", INFER, b"{}", {"Content-Encoding": "br"}),
-    (serve_shipped, "invalid_request", "/v2/models/{name}/infer", INFER, {"inputs": []}, {}),
-    (serve_shipped, "unknown_model", "/v2/models/{name}", "/v2/models/push-other", None, {}),
-    (serve_nothing, "model_not_ready", PREDICT, PREDICT, PLAIN, {}),
-    (serve_nothing, "model_not_ready", "/v2/health/ready", "/v2/health/ready", None, {}),
-    (serve_failing, "prediction", PREDICT, PREDICT, PUSH, {}),
-    (serve_with_keys, "forbidden", PREDICT, PREDICT, PLAIN, {}),
-    (serve_with_keys, "forbidden", "/v2", "/v2", None, {}),
-    (serve_with_keys, "missing_key", PREDICT, PREDICT, PLAIN, {"Authorization": ""}),
-    (serve_with_keys, "missing_key", "/v1/models", "/v1/models", None, {"Authorization": ""}),
-]
-
-
-@pytest.mark.parametrize(
-    ("serve", "code", "template", "path", "sent", "headers"), PROVOKED, ids=[f"{one[1]} {one[2]}" for one in PROVOKED]
-)
-def test_an_error_that_is_provoked_is_what_its_example_shows(
-    serve: Any, code: str, template: str, path: str, sent: Any, headers: dict[str, str], tmp_path: Path
-) -> None:
-    """Its status, its media type, its code and title, and the fields it has."""
-    with serve(tmp_path) as client:
-        content = sent if isinstance(sent, bytes | None) else json.dumps(sent).encode()
-        response = client.request("GET" if sent is None else "POST", path, content=content, headers=JSON | headers)
-    operation = document()["paths"][template]["get" if sent is None else "post"]
-    (media,) = operation["responses"][str(response.status_code)]["content"].items()
-    assert response.headers["content-type"] == media[0]
-    example, answer = examples_of(media[1])[code]["value"], response.json()
-    assert answer.keys() == example.keys()
-    if not template.startswith("/v2"):
-        told = ("type", "title", "status", "code")
-        assert [answer[name] for name in told] == [example[name] for name in told]
-        assert [one.keys() for one in answer["errors"]] == [one.keys() for one in example["errors"]]

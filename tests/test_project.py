@@ -76,7 +76,9 @@ def test_knowing_the_object_is_worth_a_factor_of_two(champions: dict[str, Manife
     assert max(rmse["push-indicator"], rmse["push-visual"]) < rmse["push-none"] / 2.0
 
 
-@pytest.mark.parametrize("target", ["serve", "data", "train", "test", "check", "openapi", "lock", "image", "sbom"])
+@pytest.mark.parametrize(
+    "target", ["serve", "data", "train", "test", "check", "openapi", "lock", "image", "size", "sbom"]
+)
 def test_the_commands_that_the_project_speaks_of_exist(project_root: Path, target: str) -> None:
     """Each make target is there and says what it does."""
     makefile = (project_root / "Makefile").read_text(encoding="utf-8")

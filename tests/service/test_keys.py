@@ -16,8 +16,7 @@ from service.loaded_models import LoadedModels
 from service.registry import Registry
 from service.settings import Settings
 
-OPEN = {"/livez", "/readyz", "/v2/health/live", "/v2/health/ready", "/docs", "/docs/oauth2-redirect", "/openapi.json"}
-OPEN |= {"/redoc"}
+OPEN = {"/livez", "/readyz", "/v2/health/live", "/v2/health/ready", "/docs", "/docs/{part}", "/openapi.json"}
 PUSH = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}}
 
 

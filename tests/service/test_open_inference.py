@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 from service.app import create_app
 from service.contract import ContextKind, ObjectContext
+from service.inference import InferRequest
 from service.loaded_models import LoadedModels
 from service.registry import Registry
 from service.settings import Settings
@@ -129,6 +130,20 @@ def test_a_version_can_be_asked_by_its_number_and_a_model_by_its_alias(client: T
     for path, version in asked.items():
         answer = client.post(path, json=document(id="42")).json()
         assert (answer["model_name"], answer["model_version"], answer["id"]) == ("push-indicator", version, "42")
+
+
+@pytest.mark.parametrize(("pushes", "is_light"), [(1, True), (200, True), (1000, False)])
+def test_many_pushes_leave_the_event_loop_in_either_form(client: TestClient, pushes: int, is_light: bool) -> None:
+    """Raw they are a fraction of the bytes, and as much work; and one by one they get the same numbers."""
+    many = np.resize(PUSHES, (pushes, 3))
+    content, header = packed(("pusher", many), ("context", INDICATOR[None]))
+    nested = json.dumps(document(inputs=[tensor("pusher", many), tensor("context", INDICATOR[None])])).encode()
+
+    assert InferRequest("push-indicator", None, header[LENGTH], content).is_light() is is_light
+    assert InferRequest("push-indicator", None, None, nested).is_light() is is_light
+    found = numbers(client.post(URL, content=content, headers=header))
+    expected = numbers(client.post(URL, json=document()))
+    assert found["mean"].tolist() == np.resize(expected["mean"], (pushes, 3)).tolist()
 
 
 def test_json_and_raw_tensors_get_the_same_numbers(client: TestClient) -> None:

@@ -1,5 +1,8 @@
 """The seam around onnxruntime, on the model that ships."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +44,25 @@ def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) 
     assert mean.shape == std.shape == (7, 3)
     assert mean.dtype == std.dtype == np.float32
     assert (std > 0).all()
+
+
+def test_the_runtime_tells_nobody_what_it_runs(project_root: Path, tmp_path: Path) -> None:
+    """Its telemetry, on by default, begins with a name for this device and a queue in the user's folders."""
+    code = (
+        "import sys; from service.contract import ContextKind; from service.predictor import OnnxPredictor;"
+        "OnnxPredictor(sys.stdin.buffer.read(), ContextKind.NONE)"
+    )
+    quiet = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        cwd=project_root,
+        env=quiet | {"HOME": str(tmp_path)},
+        input=Registry(project_root / "models").read("push-none", 1).model,
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert list(tmp_path.rglob("*")) == []
 
 
 def contexts(kind: ContextKind, count: int) -> np.ndarray | None:

@@ -332,8 +332,8 @@ def test_reproduce_on_a_cluster_that_is_not_there_is_one_line(data_folder: Path,
 def test_reproduce_tells_of_cooling_and_passes_it_on(tmp_path: Path) -> None:
     """In the report's first lines, in its command, and in every recipe."""
     skipped = [word for method in METHODS if method != FCN for word in ("--skip", method)]
-    options = ("--epochs", "4", "--seeds", "1", "--cooling", "2", "--jobs", "1", "--out", tmp_path, *skipped)
-    assert cazsl_train("reproduce", "gaussian-process", *options).exit_code == 0
+    options = ("--epochs", "4", "--seeds", "1", "--cooling", "2", "--jobs", "1")
+    assert cazsl_train("reproduce", "gaussian-process", *options, "--out", tmp_path, *skipped).exit_code == 0
 
     text = (tmp_path / "gaussian-process/README.md").read_text()
     assert "falls to nothing over the last 2 epochs" in text

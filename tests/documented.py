@@ -1,0 +1,40 @@
+"""What the project says that a service does: its OpenAPI document, and the table of errors in docs/api.md."""
+
+import re
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from service.app import create_app
+from service.loaded_models import LoadedModels
+from service.predictor import OnnxPredictor
+from service.registry import Registry
+from service.settings import Settings
+from tests.serving import ROOT
+
+Json = dict[str, Any]
+
+
+@cache
+def document() -> Json:
+    """What the app says of itself when it wants keys: every answer that there can be."""
+    app = create_app(Settings(keys=Path("nowhere")), LoadedModels(Registry(Path("nowhere")), OnnxPredictor))
+    return app.openapi()
+
+
+def examples_of(media: Json) -> dict[str, Json]:
+    """The examples of a media type by name, references followed."""
+    found = media.get("examples", {"": {"value": media["example"]}} if "example" in media else {})
+    known = document()["components"]["examples"]
+    return {name: known[one["$ref"].rpartition("/")[2]] if "$ref" in one else one for name, one in found.items()}
+
+
+@cache
+def listed_errors() -> set[tuple[int, str]]:
+    """Every status and code of the table of errors."""
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    return {
+        (int(status), code)
+        for status, codes in re.findall(r"^\| (\d{3}) \| (.*?) \|", page, re.MULTILINE)
+        for code in re.findall(r"`(\w+)`", codes)
+    }
