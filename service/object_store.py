@@ -88,8 +88,7 @@ class ObjectStorage:
             RegistryError: the location or the environment cannot be one.
         """
         bucket = Bucket.at(location)
-        base = cache or Path(os.environ.get("CAZSL_CACHE") or Path.home() / ".cache" / "cazsl")
-        return cls(bucket, Cache(base / FileDigest.of(bucket.address.encode()).sha256[:32]))
+        return cls(bucket, Cache((cache or _cache_folder()) / FileDigest.of(bucket.address.encode()).sha256[:32]))
 
     def models(self) -> list[str]:
         """See ``Storage.models``; what the cache knows where the store cannot be reached."""
@@ -284,3 +283,13 @@ class ObjectStorage:
 
 def _event_key(name: str, number: int) -> str:
     return f"{name}/{HISTORY}/{number:09d}.json"
+
+
+def _cache_folder() -> Path:
+    named = os.environ.get("CAZSL_CACHE")
+    try:
+        return Path(named) if named else Path.home() / ".cache" / "cazsl"
+    except RuntimeError as error:  # a user whom the system does not know, as in containers
+        raise RegistryError(
+            "copies of a bucket's models have no place: this user has no home; set CAZSL_CACHE to a folder of its own"
+        ) from error

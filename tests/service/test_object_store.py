@@ -55,6 +55,19 @@ def bucket(server: Server) -> S3Store:
     return S3Store(BUCKET, prefix="models", endpoint=server.environment["AWS_ENDPOINT_URL"], allow_http=True)
 
 
+def test_a_user_without_a_home_is_told_to_name_a_cache(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As in a container, whose user has a number only."""
+
+    def home() -> Path:
+        """As pathlib has it for such a user."""
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("CAZSL_CACHE")
+    monkeypatch.setattr(Path, "home", home)
+    with pytest.raises(RegistryError, match="this user has no home; set CAZSL_CACHE"):
+        open_registry(LOCATION)
+
+
 KILLED = """
 import os, signal, sys
 import obstore
