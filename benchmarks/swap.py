@@ -46,6 +46,7 @@ NEWEST_VERSIONS = 2
 LOADS = 100
 LOWEST_PRIORITY = 19  # whoever moves an alias is not what is measured
 QUIET, ELSEWHERE, SWAPPING = "no swaps", "an alias moves elsewhere", "swapping"
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072"}  # as the image has it
 HISTOGRAM = """
 local report = done
 done = function(summary, latency, requests)
@@ -178,6 +179,7 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latenci
         CAZSL_POLL_INTERVAL_S="0.05",
         CAZSL_LOG_LEVEL="ERROR",
         CAZSL_NEWEST_VERSIONS=str(NEWEST_VERSIONS),
+        **MALLOC,
     )
     found: dict[str, list[Latencies]] = {name: [] for name in targets}
     phases = list(targets.items())

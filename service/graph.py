@@ -57,6 +57,7 @@ def inspect_graph(model: bytes) -> None:
     for where, message in _walk(parsed, "model"):
         if isinstance(message, TensorProto):
             _check_tensor(where, message)
+            _forget_numbers(message)
         elif isinstance(message, onnx.NodeProto):
             _check_operator(where, message)
     _check_parts(parsed)
@@ -110,6 +111,13 @@ def _check_tensor(where: str, tensor: TensorProto) -> None:
         raise _refuse(where, f"declares {elements} elements and holds {held:g}")
 
 
+def _forget_numbers(tensor: TensorProto) -> None:
+    """No size is made of numbers with a fraction, and copying them at every step takes longest of all."""
+    if tensor.data_type in (TensorProto.FLOAT, TensorProto.DOUBLE):
+        for field in ("raw_data", "float_data", "double_data"):
+            tensor.ClearField(field)
+
+
 def _check_operator(where: str, node: onnx.NodeProto) -> None:
     if node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
         name = f"{node.domain[:40]}:{node.op_type[:40]}" if node.domain else node.op_type[:40]
@@ -137,12 +145,6 @@ def _check_parts(model: onnx.ModelProto) -> None:
 def _check_shapes(model: onnx.ModelProto) -> None:
     """Every tensor on the way has a shape that can be told before anything runs, and is not huge."""
     del model.graph.value_info[:]  # what the file says of itself does not count
-    for (
-        tensor
-    ) in model.graph.initializer:  # of these only the sizes do, and copying them takes longer than all the rest
-        if tensor.data_type in (TensorProto.FLOAT, TensorProto.DOUBLE):
-            for field in ("raw_data", "float_data", "double_data"):
-                tensor.ClearField(field)
     try:
         inferred = onnx.shape_inference.infer_shapes(model, strict_mode=True, data_prop=True)
     except Exception as error:  # the library's own errors, and those of its C++ side, share no root below this
