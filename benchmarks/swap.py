@@ -1,33 +1,81 @@
 """What swapping models costs the requests that run meanwhile.
 
-    python -m benchmarks.swap [--swaps 100] [--rounds 3]
+    python -m benchmarks.swap [--swaps 100] [--rounds 5] [--every-s 1]
 
-Asks a service with wrk at 4 connections in three phases per round: nothing else going on; a publisher writing versions
-into a registry that nobody serves (the price of sharing the machine with it); and the same publisher writing into the
-registry that is served, each version becoming the champion at once and being loaded, checked and swapped in. Prints
-median and 99th percentile over the rounds, the ratios to the phase before, and fails if any request failed or any swap
-was missed. Both cores of a small machine are shared by wrk, service and publisher: read the ratios, not the times.
+First says what loading one version costs by itself: processor time, and how long another thread waits for Python at
+most. Then asks a service with wrk at 4 connections, each round in three phases whose order rotates: nothing else going
+on; an alias moving in a registry that nobody serves (the price of sharing the machine with whoever moves it); and the
+same alias moving in the registry that is served. All versions are published before: a move names one that is not among
+the newest, so that the service has to load it, check it, swap it in and let the one before go.
+
+Percentiles are wrk's: it counts the requests that it would have sent while it waited, so that the 99th percentile is
+about the hundredth of the time in which answers were slowest. Noise is how far the phases without swaps are apart. Both
+cores of a small machine are shared by wrk, service and mover: read the ratios, not the times. Fails if any request
+failed or any swap was missed.
 """
 
 import argparse
 import http.client
 import json
+import math
 import os
 import shutil
 import statistics
-import subprocess
 import sys
 import tempfile
+import threading
 import time
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.asking import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server
+from tqdm import tqdm
+
+from benchmarks.asking import OURS, PUSH, ROOT, Load, Server, ask, free_port, server
+from service.cli import SWITCH_INTERVAL_S
+from service.loaded_models import load_version
+from service.predictor import OnnxPredictor
 from service.registry import Registry
 
 NAME = "push-indicator"
 PATH = "/v1/predict"
 CONNECTIONS = 4
-PHASES = ("alone", "publishing elsewhere", "swapping")
+NEWEST_VERSIONS = 2
+LOADS = 100
+LOWEST_PRIORITY = 19  # whoever moves an alias is not what is measured
+QUIET, ELSEWHERE, SWAPPING = "no swaps", "an alias moves elsewhere", "swapping"
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072"}  # as the image has it
+HISTOGRAM = """
+local report = done
+done = function(summary, latency, requests)
+  report(summary, latency, requests)
+  local file = io.open("{path}", "w")
+  for place = 1, #latency do file:write(string.format("%d %d\\n", latency(place))) end
+  file:close()
+end
+"""
+
+
+@dataclass(frozen=True)
+class Latencies:
+    """How many answers took how many microseconds."""
+
+    counts: Counter[int]
+
+    def percentile_us(self, share: float) -> int:
+        """What this share of the answers did not exceed."""
+        left = share * self.counts.total()
+        for took_us, count in sorted(self.counts.items()):
+            left -= count
+            if left <= 0:
+                return took_us
+        raise SystemExit("wrk measured nothing")
+
+    def slower(self, than_us: float) -> int:
+        """How many answers took longer."""
+        return sum(count for took_us, count in self.counts.items() if took_us > than_us)
 
 
 def publish(root: Path, swaps: int, interval_s: float) -> None:
@@ -43,6 +91,62 @@ def publish(root: Path, swaps: int, interval_s: float) -> None:
         time.sleep(max(0.0, interval_s - (time.monotonic() - started)))
 
 
+def move(root: Path, swaps: int, every_s: float) -> None:
+    """Make the champion the version after it, again and again, at the lowest priority."""
+    os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)  # of this thread alone
+    registry = Registry(root)
+    champion = registry.aliases(NAME)["champion"]
+    for version in range(champion + 1, champion + 1 + swaps):
+        time.sleep(every_s)
+        registry.point_alias(NAME, "champion", version)
+
+
+def prepare(root: Path, swaps: int) -> None:
+    """A copy of the shipped registry, with a version for every swap and some that are newer."""
+    shutil.copytree(ROOT / "models", root)
+    registry = Registry(root)
+    first = registry.read(NAME, registry.aliases(NAME)["champion"])
+    for _ in tqdm(range(swaps + NEWEST_VERSIONS), desc=f"versions {root.name}", disable=None):
+        registry.publish(first.manifest, first.model, first.card)
+
+
+def longest_wait_ms(work: Callable[[], object]) -> float:
+    """How long another thread does not get to run Python at most, while the work is done."""
+    done, waits = threading.Event(), [0.0]
+
+    def watch() -> None:
+        """Look at the clock all the time."""
+        last = time.perf_counter()
+        while not done.is_set():
+            now = time.perf_counter()
+            waits.append(now - last)
+            last = now
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    work()
+    done.set()
+    watcher.join()
+    return max(waits) * 1e3
+
+
+def measure_loads() -> None:
+    """What one load costs by itself, for every model that ships."""
+    registry = Registry(ROOT / "models")
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    print(f"A load, medians of {LOADS}:\n\n| version | processor (ms) | longest wait of another thread (ms) |")
+    print("|---|---|---|")
+    for name in registry.names():
+        version = registry.versions(name)[-1]
+        used, waits = [], []
+        for _ in range(LOADS):
+            began = time.process_time()
+            load_version(registry, OnnxPredictor, name, version)
+            used.append((time.process_time() - began) * 1e3)
+            waits.append(longest_wait_ms(lambda: load_version(registry, OnnxPredictor, name, version)))  # noqa: B023
+        print(f"| {name} {version} | {statistics.median(used):.2f} | {statistics.median(waits):.2f} |")
+
+
 def served_version(port: int) -> int:
     """Which version answers now."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
@@ -50,64 +154,92 @@ def served_version(port: int) -> int:
     return int(json.loads(connection.getresponse().read())["model"]["version"])
 
 
-def phase(asked: Server, script: Path, target: Path | None, swaps: int, seconds: int) -> Figures:
-    """One run of wrk, a publisher beside it unless there is no target."""
-    if target is None:
-        return ask(asked, script, PATH, CONNECTIONS, seconds)
-    interval_s = (seconds - 1) / swaps
-    command = [sys.executable, "-m", "benchmarks.swap", "--publish", str(target), "--swaps", str(swaps)]
-    publisher = subprocess.Popen([*command, "--interval", str(interval_s)], cwd=ROOT)
-    try:
-        return ask(asked, script, PATH, CONNECTIONS, seconds)
-    finally:
-        if publisher.wait(timeout=600):
-            raise SystemExit("the publisher failed")
+def phase(asked: Server, script: Path, target: Path | None, swaps: int, every_s: float) -> Latencies:
+    """One run of wrk, an alias moving beside it unless there is no target."""
+    seconds = math.ceil((swaps + 1) * every_s)
+    with ThreadPoolExecutor(1) as mover:
+        moved = mover.submit(move, target, swaps, every_s) if target is not None else None
+        ask(asked, script, PATH, CONNECTIONS, seconds)
+        if moved is not None:
+            moved.result()
+    lines = script.with_suffix(".latencies").read_text().splitlines()
+    return Latencies(Counter({int(took_us): int(count) for took_us, count in (line.split() for line in lines)}))
 
 
-def measure(options: argparse.Namespace, folder: Path) -> None:
+def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latencies]]:
     """All rounds over one service."""
-    served, elsewhere = folder / "served", folder / "elsewhere"
-    for root in (served, elsewhere):
-        shutil.copytree(ROOT / "models", root)
+    targets = {QUIET: None, ELSEWHERE: folder / "elsewhere", SWAPPING: folder / "served"}
+    swaps = options.swaps // options.rounds
+    for root in filter(None, targets.values()):
+        prepare(root, swaps * options.rounds)
     script = Load(PATH, PUSH, {"Content-Type": "application/json"}).script(folder, "push")
-    os.environ.update(CAZSL_REGISTRY=str(served), CAZSL_POLL_INTERVAL_S="0.05", CAZSL_LOG_LEVEL="ERROR")
-    port, found = free_port(), {name: list[Figures]() for name in PHASES}
-    with server([sys.executable, *OURS], port) as asked:
+    script.write_text(script.read_text() + HISTOGRAM.format(path=script.with_suffix(".latencies")))
+    os.environ.update(
+        CAZSL_REGISTRY=str(targets[SWAPPING]),
+        CAZSL_POLL_INTERVAL_S="0.05",
+        CAZSL_LOG_LEVEL="ERROR",
+        CAZSL_NEWEST_VERSIONS=str(NEWEST_VERSIONS),
+        **MALLOC,
+    )
+    found: dict[str, list[Latencies]] = {name: [] for name in targets}
+    phases = list(targets.items())
+    with server([sys.executable, *OURS], free_port()) as asked:
         ask(asked, script, PATH, CONNECTIONS, 2)
-        for _ in range(options.rounds):
-            for name, target in zip(PHASES, (None, elsewhere, served), strict=True):
-                found[name].append(phase(asked, script, target, options.swaps, options.seconds))
+        for number in tqdm(range(options.rounds), desc="rounds", disable=None):
+            for name, target in phases[number % 3 :] + phases[: number % 3]:
+                found[name].append(phase(asked, script, target, swaps, options.every_s))
         time.sleep(1.0)
-        last, published = served_version(port), Registry(served).versions(NAME)[-1]
-    print(f"{options.rounds} rounds of {options.seconds} s, {options.swaps} swaps in each, {CONNECTIONS} connections")
-    before: tuple[float, float] | None = None
-    for name, figures in found.items():
-        p50 = statistics.median(figure.p50_us for figure in figures)
-        p99 = statistics.median(figure.p99_us for figure in figures)
-        ratios = "" if before is None else f"   x{p50 / before[0]:.2f}  x{p99 / before[1]:.2f} of the phase before"
-        print(f"{name:<22} p50 {p50 / 1000:6.2f} ms   p99 {p99 / 1000:6.2f} ms{ratios}")
-        before = (p50, p99)
-    print(f"failed requests: 0; served at the end: version {last} of {published} published")
-    if last != published:
+        served, champion = served_version(asked.port), Registry(folder / "served").aliases(NAME)["champion"]
+    print(f"\n{options.rounds} rounds of {swaps} swaps, one every {options.every_s:g} s; failed requests: 0; ", end="")
+    print(f"served at the end: version {served}, the champion: {champion}\n")
+    if served != champion:
         raise SystemExit("a swap was missed")
+    return found
+
+
+def spread(values: list[float]) -> str:
+    """Median and range."""
+    return f"{statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f})"
+
+
+def report(found: dict[str, list[Latencies]], swaps: int) -> None:
+    """Medians over the rounds, and ratios within a round."""
+    p99s = {name: [run.percentile_us(0.99) / 1e3 for run in runs] for name, runs in found.items()}
+    print("| phase | p50 (ms) | p99 (ms) | p99.9 (ms) | p99 of the same round without swaps | slower than that p99 |")
+    print("|---|---|---|---|---|---|")
+    slower = {}
+    for name, runs in found.items():
+        p50, p999 = (spread([run.percentile_us(share) / 1e3 for run in runs]) for share in (0.5, 0.999))
+        ratio = spread([mine / quiet for mine, quiet in zip(p99s[name], p99s[QUIET], strict=True)])
+        slow = [run.slower(quiet * 1e3) for run, quiet in zip(runs, p99s[QUIET], strict=True)]
+        slower[name] = sum(slow)
+        share = sum(slow) / sum(run.counts.total() for run in runs)
+        print(f"| {name} | {p50} | {spread(p99s[name])} | {p999} | {ratio} | {share:.2%} |")
+    pairs = zip(p99s[SWAPPING], p99s[ELSEWHERE], strict=True)
+    noise = max(p99s[QUIET]) / min(p99s[QUIET])
+    more = (slower[SWAPPING] - slower[QUIET]) / swaps
+    print(f"\np99 while swapping, of that while an alias moves elsewhere: {spread([a / b for a, b in pairs])}")
+    print(f"noise: the p99s of the phases without swaps differ by up to a factor of {noise:.2f}")
+    print(f"a swap makes {more:.0f} answers slower than the p99 of the same round without swaps")
 
 
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--swaps", type=int, default=100, help="swaps per round")
-    parser.add_argument("--seconds", type=int, default=20, help="length of one run of wrk")
-    parser.add_argument("--rounds", type=int, default=3, help="runs of each phase")
+    parser.add_argument("--swaps", type=int, default=100, help="swaps in all")
+    parser.add_argument("--rounds", type=int, default=5, help="how many rounds share them")
+    parser.add_argument("--every-s", type=float, default=1.0, help="seconds from one swap to the next")
     parser.add_argument("--publish", type=Path, metavar="ROOT", help="only publish into this registry")
-    parser.add_argument("--interval", type=float, default=0.2, help="seconds between two versions")
+    parser.add_argument("--interval", type=float, default=0.2, help="with --publish: seconds between two versions")
     options = parser.parse_args()
     if options.publish is not None:
         publish(options.publish, options.swaps, options.interval)
         return
     if shutil.which("wrk") is None:
         raise SystemExit("wrk is not installed: apt-get install wrk")
+    measure_loads()
     with tempfile.TemporaryDirectory() as folder:
-        measure(options, Path(folder))
+        report(measure(options, Path(folder)), options.swaps // options.rounds * options.rounds)
 
 
 if __name__ == "__main__":

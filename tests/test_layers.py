@@ -10,7 +10,8 @@ import pytest
 SERVICE: dict[str, set[str]] = {
     "errors": set(),
     "contract": {"errors"},
-    "manifest": {"errors", "contract"},
+    "canonical": set(),
+    "manifest": {"canonical", "errors", "contract"},
     "history": {"errors"},
     "storage": {"history"},
     "disk": {"errors"},
@@ -236,6 +237,7 @@ SERVICE: dict[str, set[str]] = {
 OUTSIDE: dict[str, set[str]] = {
     "errors": set(),
     "contract": {"numpy"},
+    "canonical": set(),
     "manifest": set(),
     "history": set(),
     "storage": set(),

@@ -118,6 +118,20 @@ def unknown_field() -> ModelProto:
     return model
 
 
+def with_unknown_field_in_a_type() -> ModelProto:
+    """A field that no version of ONNX has, in the first size of a shape that the file tells."""
+    model = honest()
+    model.graph.input[0].type.tensor_type.shape.dim[0].MergeFromString(b"\xfa\x3f\x04evil")
+    return model
+
+
+def with_sequence() -> ModelProto:
+    """A value that is a list of tensors."""
+    model = honest()
+    model.graph.value_info.append(helper.make_tensor_sequence_value_info("list", TensorProto.FLOAT, ["n", 3]))
+    return model
+
+
 def declares(*dims: int) -> ModelProto:
     """A constant that claims more than it holds."""
     return with_initializer(TensorProto(name="big", dims=dims, data_type=TensorProto.FLOAT, raw_data=bytes(4)))
@@ -191,6 +205,8 @@ ATTACKS: dict[str, tuple[Callable[[], ModelProto], str]] = {
     ),
     "harmless sub-graph": (lambda: with_attribute(g=onnx.GraphProto(name="g")), "sub-graphs"),
     "unknown field": (unknown_field, "a field that ONNX does not know"),
+    "unknown field in a type": (with_unknown_field_in_a_type, "a field that ONNX does not know"),
+    "sequence": (with_sequence, "not a tensor"),
     "operator of another domain": (lambda: in_domain("com.microsoft"), "operator com.microsoft:Mul is not on the list"),
     "loop": (loop, "operator Loop is not on the list"),
     "random numbers": (lambda: with_nodes(helper.make_node("RandomNormal", [], ["r"], shape=[3])), "RandomNormal"),

@@ -125,6 +125,8 @@ def _changed(*path: str | int, to: Any) -> bytes:
         (_changed("sha256", to=None), "sha256"),
         (_changed("recipe", "epochs", to=2), "sha256"),
         (whole().render() + b" ", "sha256"),
+        (whole().render().replace(b"fake pushes", b"\\ud800"), "sha256"),
+        (json.dumps(json.loads(whole().render()), indent=2).encode(), "sha256"),
         (_changed("version", to=0), "version"),
         (_changed("version", to=True), "version"),
         (_changed("version", to=1.0), "version"),

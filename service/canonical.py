@@ -1,0 +1,64 @@
+"""The canonical text of a document: what ``json.dumps`` writes with sorted keys, two-space indent and no NaN, in UTF-8.
+
+The standard library writes indents in Python, a piece at a time, and wants dataclasses copied first: that takes four
+times as long, while requests wait for Python too. Others write numbers differently (1e-5, not 1e-05), and a text that
+is vouched for by its digest must never change by a byte: the tests compare with the standard library.
+"""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from json.encoder import encode_basestring
+
+
+def canonical(document: object) -> bytes:
+    """The text of a document of dataclasses, mappings, sequences, texts, numbers, truths and None.
+
+    Raises:
+        ValueError: a number is not finite, or a text is no Unicode.
+        TypeError: something else is in it.
+    """
+    return (_text(document, "\n") + "\n").encode()
+
+
+def _text(value: object, margin: str) -> str:
+    """One value; what is inside it stands on lines of its own, two spaces beyond the margin."""
+    if isinstance(value, float):
+        return _number(value)
+    if isinstance(value, str):
+        return encode_basestring(value)
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    inner = margin + "  "
+    if isinstance(value, list | tuple):
+        row = set(map(type, value)) == {float} and all(map(math.isfinite, value))  # most of a manifest
+        parts = map(float.__repr__, value) if row else (_text(part, inner) for part in value)
+        return _lines("[", list(parts), "]", margin)
+    if isinstance(value, Mapping):
+        items: Iterable[tuple[str, object]] = sorted(value.items())
+    elif is_dataclass(value) and not isinstance(value, type):
+        items = [(name, getattr(value, name)) for name in _sorted_names(type(value))]
+    else:
+        raise TypeError(f"{type(value).__name__} has no canonical text")
+    return _lines("{", [f"{encode_basestring(name)}: {_text(part, inner)}" for name, part in items], "}", margin)
+
+
+def _number(value: float) -> str:
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not a JSON number")
+    return float.__repr__(value)
+
+
+def _lines(opening: str, parts: list[str], closing: str, margin: str) -> str:
+    if not parts:
+        return opening + closing
+    inner = margin + "  "
+    return f"{opening}{inner}{f',{inner}'.join(parts)}{margin}{closing}"
+
+
+@cache
+def _sorted_names(kind: type) -> list[str]:
+    return sorted(field.name for field in fields(kind))
