@@ -203,24 +203,23 @@ def spread(values: list[float]) -> str:
 
 
 def report(found: dict[str, list[Latencies]], swaps: int) -> None:
-    """Medians over the rounds, and ratios within a round."""
+    """Medians over the rounds of so many swaps, and ratios within a round."""
     p99s = {name: [run.percentile_us(0.99) / 1e3 for run in runs] for name, runs in found.items()}
     print("| phase | p50 (ms) | p99 (ms) | p99.9 (ms) | p99 of the same round without swaps | slower than that p99 |")
     print("|---|---|---|---|---|---|")
-    slower = {}
+    slower: dict[str, list[int]] = {}
     for name, runs in found.items():
         p50, p999 = (spread([run.percentile_us(share) / 1e3 for run in runs]) for share in (0.5, 0.999))
         ratio = spread([mine / quiet for mine, quiet in zip(p99s[name], p99s[QUIET], strict=True)])
-        slow = [run.slower(quiet * 1e3) for run, quiet in zip(runs, p99s[QUIET], strict=True)]
-        slower[name] = sum(slow)
-        share = sum(slow) / sum(run.counts.total() for run in runs)
+        slower[name] = [run.slower(quiet * 1e3) for run, quiet in zip(runs, p99s[QUIET], strict=True)]
+        share = sum(slower[name]) / sum(run.counts.total() for run in runs)
         print(f"| {name} | {p50} | {spread(p99s[name])} | {p999} | {ratio} | {share:.2%} |")
-    pairs = zip(p99s[SWAPPING], p99s[ELSEWHERE], strict=True)
+    ratios = [mine / other for mine, other in zip(p99s[SWAPPING], p99s[ELSEWHERE], strict=True)]
+    more = [(mine - other) / swaps for mine, other in zip(slower[SWAPPING], slower[ELSEWHERE], strict=True)]
     noise = max(p99s[QUIET]) / min(p99s[QUIET])
-    more = (slower[SWAPPING] - slower[QUIET]) / swaps
-    print(f"\np99 while swapping, of that while an alias moves elsewhere: {spread([a / b for a, b in pairs])}")
+    print(f"\np99 while swapping, of that while an alias moves elsewhere: {spread(ratios)}")
     print(f"noise: the p99s of the phases without swaps differ by up to a factor of {noise:.2f}")
-    print(f"a swap makes {more:.0f} answers slower than the p99 of the same round without swaps")
+    print(f"answers slower than the quiet p99, more a swap than a move elsewhere: {spread(more)}")
 
 
 def main() -> None:
@@ -239,7 +238,7 @@ def main() -> None:
         raise SystemExit("wrk is not installed: apt-get install wrk")
     measure_loads()
     with tempfile.TemporaryDirectory() as folder:
-        report(measure(options, Path(folder)), options.swaps // options.rounds * options.rounds)
+        report(measure(options, Path(folder)), options.swaps // options.rounds)
 
 
 if __name__ == "__main__":
