@@ -21,7 +21,7 @@ from service.keys import Keys
 from service.keys import Scope as KeyScope
 from service.loaded_models import LoadedModels, Snapshot
 from service.predictions import Answer, Question, ask_one, is_light, predict_batch, predict_one
-from service.requests import BatchRequest, PredictRequest
+from service.requests import PredictRequest, read_batch
 from service.turns import Turns
 from service.workers import Workers
 
@@ -46,7 +46,7 @@ DOORS: Final = {
     door.route: door
     for door in (
         Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one),
-        Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
+        Door("/v1/predict/batch", read_batch, predict_batch),
     )
 }
 _INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")

@@ -148,9 +148,9 @@ def visual_context(image: GreyImage) -> VisualContext:
     return VisualContext.from_bytes(rounded.astype(np.uint8).tobytes())
 
 
-def quality_flags(image: GreyImage) -> tuple[QualityFlag, ...]:
+def quality_flags(context: VisualContext) -> tuple[QualityFlag, ...]:
     """What is odd about a picture, judged on what the model sees of it."""
-    grey = np.frombuffer(visual_context(image).levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
+    grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
     bright = grey > _threshold(grey)
     if grey.min() == grey.max() or grey[bright].mean() - grey[~bright].mean() < _LEAST_CONTRAST * 255:
         return (QualityFlag.BLANK,)
@@ -185,10 +185,10 @@ def _levels(image: Image.Image) -> Levels:
         image = image.convert("RGBA")
         grey = Image.new("L", image.size, round(BACKGROUND_LEVEL * 255))
         grey.paste(image.convert("L"), mask=image.getchannel("A"))
-        return np.array(grey)
-    if image.mode not in ("1", "L"):
+        return np.asarray(grey)
+    if image.mode not in ("1", "L", "RGB"):  # a copy of what is RGB takes longer than its luma, and frees under the GIL
         image = image.convert("RGB")
-    return np.array(image.convert("L"))
+    return np.asarray(image if image.mode == "L" else image.convert("L"))
 
 
 def _upright(levels: Levels, orientation: int) -> Levels:

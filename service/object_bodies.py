@@ -124,12 +124,11 @@ def describe_image(content: bytes) -> VisualContextBody:
     Raises:
         ImageTooLargeError, UnsupportedImageError, InvalidImageError: as ``images.decode``.
     """
-    image = decode(content)
-    context = visual_context(image)
+    context = visual_context(decode(content))
     return VisualContextBody(
         visual=base64.b64encode(context.levels).decode(),
         thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
-        flags=[flag.value for flag in quality_flags(image)],
+        flags=[flag.value for flag in quality_flags(context)],
     )
 
 

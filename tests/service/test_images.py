@@ -290,7 +290,7 @@ def test_an_array_that_is_no_picture_is_refused(array: npt.NDArray[Any], words: 
 )  # fmt: skip
 def test_what_looks_wrong_is_flagged(image: GreyImage, flags: tuple[str, ...]) -> None:
     """Nothing for a good picture; each fault by its name, in a fixed order."""
-    assert quality_flags(image) == flags
+    assert quality_flags(visual_context(image)) == flags
 
 
 def test_the_thumbnail_shows_every_level_as_a_block() -> None:

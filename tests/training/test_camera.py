@@ -58,7 +58,7 @@ def test_a_photograph_differs_from_the_drawing_but_shows_the_same_object(descrip
     clean = {other: seen(drawn(other)) for other in OBJECTS}
     for seed in SEEDS:
         photo = photograph(descriptor, seed)
-        assert quality_flags(GreyImage(photo)) == ()
+        assert quality_flags(visual_context(GreyImage(photo))) == ()
         assert np.abs(seen(photo) - clean[descriptor]).mean() > 5
         likeness = {other: np.corrcoef(seen(photo), levels)[0, 1] for other, levels in clean.items()}
         assert likeness[descriptor] > 0.85
@@ -100,7 +100,7 @@ def test_at_the_end_of_every_range_the_picture_is_still_one() -> None:
     """Turned, moved, lit from one side, shadowed, blurred and overexposed at once: no overflow, nothing flagged."""
     for descriptor in OBJECTS:
         photo = camera_view(drawn(descriptor), Extreme())  # type: ignore[arg-type]
-        assert quality_flags(GreyImage(photo)) == ()
+        assert quality_flags(visual_context(GreyImage(photo))) == ()
     right, down = middle_m(camera_view(drawn("4a4a4a4a"), Extreme()))  # type: ignore[arg-type]
     assert right == pytest.approx(camera.MISPLACEMENT_M, abs=0.0015)
     assert down == pytest.approx(camera.MISPLACEMENT_M, abs=0.0015)

@@ -118,7 +118,7 @@ def test_every_object_of_the_benchmark_keeps_clear_of_the_border() -> None:
     for descriptor in omnipush_descriptors():
         corners = np.concatenate(solid(ObjectContext.from_descriptor(descriptor)).pieces)
         assert np.linalg.norm(corners, axis=1).max() < FIELD_OF_VIEW_M / 2 - 0.010
-    assert [quality_flags(GreyImage(view_of(descriptor))) for descriptor in OBJECTS] == [()] * 3
+    assert [quality_flags(visual_context(GreyImage(view_of(descriptor)))) for descriptor in OBJECTS] == [()] * 3
 
 
 @pytest.mark.parametrize("camera", [False, True])
