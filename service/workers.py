@@ -1,8 +1,9 @@
 """Threads for what would hold up the event loop: large batches, images. Bounded in number, in queue and in time.
 
 A thread per processor that this container may use but one, which is the event loop's: the runtime takes one thread per
-call, more would only take turns, and a loop that waits for its turn holds up everybody. What would wait behind a full queue is refused at once, so that the caller can go elsewhere; what waits longer
-than the deadline is told so, and dropped if it has not begun.
+call, more would only take turns, and a loop that waits for its turn holds up everybody. What would wait behind a full
+queue is refused at once, so that the caller can go elsewhere; what waits longer than the deadline is told so, and
+dropped if it has not begun.
 """
 
 import asyncio
