@@ -30,11 +30,11 @@ _Row = Annotated[
         json_schema_extra={"prefixItems": [_ALONG, _ALONG, {"type": "number"}]},
     ),
 ]
-_Rows = Annotated[list[_Row], FailFast(), Field(min_length=1, max_length=MAX_PUSHES)]
+DocumentedRows = Annotated[list[_Row], FailFast(), Field(min_length=1, max_length=MAX_PUSHES)]
 
 
 def _schema(_: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-    return core_schema.no_info_wrap_validator_function(_to_array, handler.generate_schema(_Rows))
+    return core_schema.no_info_wrap_validator_function(_to_array, handler.generate_schema(DocumentedRows))
 
 
 Rows = Annotated[DoubleArray, GetPydanticSchema(_schema)]  # (n, 3), not to be written to: 1 to MAX_PUSHES rows
