@@ -44,8 +44,10 @@ def pushes() -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
 
 
 def bare_runtime() -> Callable[[], float]:
-    """Pushes per second of the graph alone, in this process, one thread."""
-    predictor = OnnxPredictor((ROOT / "models/push-indicator/1/model.onnx").read_bytes(), ContextKind.INDICATOR)
+    """Pushes per second of the graph alone that the service serves, in this process, one thread."""
+    folder = ROOT / "models/push-indicator"
+    version = (folder / "aliases/champion").read_text().strip()
+    predictor = OnnxPredictor((folder / version / "model.onnx").read_bytes(), ContextKind.INDICATOR)
     rows, context = pushes(), ObjectContext.from_descriptor("1a2b3c4a").tensor()[None]
     index = np.zeros(ROWS, dtype=np.int64)
 

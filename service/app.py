@@ -29,7 +29,7 @@ from service.settings import Settings
 from service.short_way import ShortWay
 from service.telemetry import RequestLog, RequestTelemetry
 from service.vitals import vitals
-from service.workers import Workers, processors
+from service.workers import Workers, threads_beside_the_loop
 
 _FIRST_LOOK_S: Final = 2.0
 
@@ -76,7 +76,7 @@ def create_app(
     ``trace`` puts a ring around all others, as ``tracing.Tracing`` is one.
     """
     log = log or RequestLog()
-    workers = Workers(processors(), settings.max_waiting, settings.deadline_s)
+    workers = Workers(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
 

@@ -9,24 +9,35 @@ holds the same bounds, so a test can demand that both give the same bytes for ev
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, cast
 
 from pydantic import ValidationError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.errors import CazslError, DeadlineError
-from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, infer
+from service.inference import LENGTH_HEADER, LIGHT_BYTES, Inference, InferRequest, ask_inference, infer
 from service.intake import WholeBody
 from service.keys import Keys
 from service.keys import Scope as KeyScope
 from service.loaded_models import LoadedModels, Snapshot
-from service.predictions import Answer, Question, ask_one, is_light, predict_batch, predict_one
+from service.predictions import (
+    LIGHT_PUSHES,
+    Answer,
+    Question,
+    ask_batch,
+    ask_one,
+    is_read_quickly,
+    predict_batch,
+    predict_one,
+)
 from service.problems import problem_response
-from service.requests import BatchRequest, PredictRequest
+from service.requests import PredictRequest, read_batch
 from service.turns import Turns
 from service.workers import Workers
 
 Headers = Sequence[tuple[bytes, bytes]]
+SINGLE: Final = "/v1/predict"
+LIGHT_BATCH_BYTES: Final = 64 * 1024  # 1,000 pushes: read in a tenth of the time that they take the runtime
 _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 
 
@@ -37,8 +48,8 @@ class Door:
     path: str  # its template; named as the framework's routes name theirs
     parse: Callable[[bytes], Any]
     predict: Callable[[Snapshot, Any], Answer]
-    is_light: Callable[[Any], bool] = is_light  # whether a request of few bytes may be answered in the event loop
-    ask: Callable[[Snapshot, Any], Question] | None = None  # where there is one push to ask about, with others
+    ask: Callable[[Snapshot, Any], Question | Inference]
+    most_bytes: int = LIGHT_BYTES  # of a body that is read in the event loop
 
     def answer(self, models: Snapshot, content: bytes) -> Answer:
         """All of it in one go, for a thread."""
@@ -48,11 +59,10 @@ class Door:
 DOORS: Final = {
     door.path: door
     for door in (
-        Door("/v1/predict", PredictRequest.__pydantic_validator__.validate_json, predict_one, ask=ask_one),
-        Door("/v1/predict/batch", BatchRequest.__pydantic_validator__.validate_json, predict_batch),
+        Door(SINGLE, PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one),
+        Door("/v1/predict/batch", read_batch, predict_batch, ask_batch, LIGHT_BATCH_BYTES),
     )
 }
-SINGLE: Final = frozenset(door.path for door in DOORS.values() if door.ask is not None)
 _INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")
 _INFER_ROUTES: Final = ("/v2/models/{name}/infer", "/v2/models/{name}/versions/{version}/infer")
 
@@ -91,27 +101,31 @@ class FastPath:
 
     def single_door(self, path: str, headers: Headers) -> Door | None:
         """The way in for a POST of one push, when its headers ask for nothing that needs a second look."""
-        return self._door(path, headers) if path in SINGLE else None
+        return self._door(path, headers) if path == SINGLE else None
 
-    def ask(self, door: Door, content: bytes) -> Question | None:
-        """What a body of a single push asks; None when that takes too long for the event loop.
+    def ask_single(self, content: bytes) -> Question | None:
+        """What a body of a single push asks; None when reading it takes too long for the event loop.
 
         Raises:
             ValidationError, CazslError: it is not in order.
         """
-        request = door.parse(content)
-        return door.ask(self._models.snapshot, request) if door.ask is not None and door.is_light(request) else None
+        request = DOORS[SINGLE].parse(content)
+        return ask_one(self._models.snapshot, request) if is_read_quickly(request) else None
 
     async def _answer(self, door: Door, content: bytes) -> Answer:
         models = self._models.snapshot
-        if len(content) > LIGHT_BYTES:
+        if len(content) > door.most_bytes:
             return await self._workers.run(door.answer, models, content)
         request = door.parse(content)
-        if door.is_light(request):
-            if door.ask is not None:
-                return await self.turns.answer(door.ask(models, request))
-            return door.predict(models, request)
-        return await self._workers.run(door.predict, models, request)
+        if not is_read_quickly(request):
+            return await self._workers.run(door.predict, models, request)
+        question = door.ask(models, request)
+        if isinstance(request, PredictRequest):
+            return await self.turns.answer(cast(Question, question))
+        if len(question.pushers) <= LIGHT_PUSHES:
+            return question.answer()
+        # the runtime alone in a thread: what is Python holds one lock wherever it runs, and gives it away at a price
+        return question.answered(*await self._workers.run(question.predict))
 
     def _door(self, path: str, headers: Headers) -> Door | None:
         """The way in for this path, when the headers ask for nothing that needs a second look."""
@@ -136,9 +150,7 @@ class FastPath:
             return door
         model, version = asked["model"], asked["version"]
         route = _INFER_ROUTES[version is not None]
-        return Door(
-            route, lambda content: InferRequest(model, version, header_length, content), infer, InferRequest.is_light
-        )
+        return Door(route, lambda content: InferRequest(model, version, header_length, content), infer, ask_inference)
 
     def _admits(self, authorization: bytes | None) -> bool:
         try:

@@ -86,12 +86,62 @@ def inflate(content: bytes, encoding: str, most: int) -> bytes:
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Inference:
+    """Pushes of objects that a model is asked about, and how the answer is written."""
+
+    model: LoadedModel
+    pushers: FloatArray  # (n, 3)
+    contexts: FloatArray | None
+    places: IndexArray | None
+    wanted: Mapping[str, bool]  # outputs, in order, and whether as bytes
+    id: str | None
+
+    def answer(self) -> Answer:
+        """Ask the model.
+
+        Raises:
+            PredictionError: as ``LoadedModel.predict``.
+        """
+        return self.answered(*self.predict())
+
+    def predict(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and std (n, 3), as the model has them.
+
+        Raises:
+            PredictionError: as ``LoadedModel.predict``.
+        """
+        return self.model.predict(self.pushers, self.model.manifest.context_kind, self.contexts, self.places)
+
+    def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """The answer that this mean and std (n, 3) make."""
+        name, version = self.model.manifest.name, self.model.manifest.version
+        document: dict[str, Any] = {"model_name": name, "model_version": str(version)}
+        if self.id is not None:
+            document["id"] = self.id
+        given = {"mean": mean, "std": std}
+        outputs = {output: given[output] for output in self.wanted}
+        binary = frozenset(output for output, is_binary in self.wanted.items() if is_binary)
+        content, headers = render(document, outputs, binary)
+        return Answer(content, name, version, len(self.pushers), headers)
+
+
 def infer(models: Snapshot, request: InferRequest) -> Answer:
     """Answer one inference request.
 
     Raises:
+        RequestError, ModelNotReadyError: as ``ask_inference``.
+        PredictionError: as ``LoadedModel.predict``.
+    """
+    return ask_inference(models, request).answer()
+
+
+def ask_inference(models: Snapshot, request: InferRequest) -> Inference:
+    """What an inference request asks.
+
+    Raises:
         RequestError: the request is not in order.
-        ModelNotReadyError, PredictionError: as ``Snapshot.find`` and ``LoadedModel.predict``.
+        ModelNotReadyError: as ``Snapshot.find``.
     """
     model = models.find(parse_reference(request.model, request.version))
     part, raw = read_json(request.content, request.header_length)
@@ -99,16 +149,7 @@ def infer(models: Snapshot, request: InferRequest) -> Answer:
     inputs = read_inputs(part, raw, model.manifest.inputs)
     pushers = _pushers(inputs.get("pusher"))
     contexts, places = _contexts(model, inputs, len(pushers))
-    mean, std = model.predict(pushers, model.manifest.context_kind, contexts, places)
-    name, version = model.manifest.name, model.manifest.version
-    document: dict[str, Any] = {"model_name": name, "model_version": str(version)}
-    if part.id is not None:
-        document["id"] = part.id
-    given = {"mean": mean, "std": std}
-    outputs = {output: given[output] for output in wanted}
-    binary = frozenset(output for output, is_binary in wanted.items() if is_binary)
-    content, headers = render(document, outputs, binary)
-    return Answer(content, name, version, len(pushers), headers)
+    return Inference(model, pushers, contexts, places, wanted, part.id)
 
 
 def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:

@@ -22,6 +22,7 @@ from service.requests import BatchRequest, Prediction, PredictRequest
 from service.uploads import Upload
 
 LIGHT_PUSHES: Final = 256  # as many are answered in about the time that handing them to a thread takes
+LIGHT_OBJECTS: Final = 256  # so many are encoded in the event loop
 MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
 _CACHED_OBJECTS: Final = 4096  # Omnipush has 250
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
@@ -71,8 +72,16 @@ class Question:
         Raises:
             ContextKindError, PredictionError: as ``LoadedModel.predict``.
         """
+        return self.answered(*self.predict())
+
+    def predict(self) -> tuple[FloatArray, FloatArray]:
+        """Mean and std (n, 3), as the model has them: the part that a thread can do while others read and write.
+
+        Raises:
+            ContextKindError, PredictionError: as ``LoadedModel.predict``.
+        """
         objects = self.objects
-        return self.answered(*self.model.predict(self.pushers, objects.kind, objects.tensor, objects.places))
+        return self.model.predict(self.pushers, objects.kind, objects.tensor, objects.places)
 
     def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
         """The answer that this mean and std (n, 3) make."""
@@ -117,19 +126,29 @@ def predict_with(model: LoadedModel, request: PredictRequest) -> Answer:
     return _one_push(model, request, _object(request)).answer()
 
 
-def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
-    """Answer many pushes; a push's answer depends on its own row and object only.
+def ask_batch(models: Snapshot, request: BatchRequest) -> Question:
+    """What a request for many pushes asks.
 
     Raises:
         RequestError: a push, an object or the model asked for cannot be.
-        ModelNotReadyError, PredictionError: as ``Snapshot.find`` and ``LoadedModel.predict``.
+        ModelNotReadyError: as ``Snapshot.find``.
     """
     pushers, places = request.pusher_poses(), None
     if request.contexts is not None or request.context_index is not None:
         places = request.places()
     objects = NO_OBJECT if places is None else _objects(request.contexts or (), places)
     model = _model(models, request, objects.kind)
-    return Question(model, pushers.astype(np.float32), objects, request.objects(), _columns).answer()
+    return Question(model, pushers.astype(np.float32), objects, request.objects(), _columns)
+
+
+def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
+    """Answer many pushes; a push's answer depends on its own row and object only.
+
+    Raises:
+        RequestError, ModelNotReadyError: as ``ask_batch``.
+        PredictionError: as ``LoadedModel.predict``.
+    """
+    return ask_batch(models, request).answer()
 
 
 def predict_upload(models: Snapshot, upload: Upload) -> Answer:
@@ -152,11 +171,15 @@ def predict_upload(models: Snapshot, upload: Upload) -> Answer:
 
 def is_light(request: PredictRequest | BatchRequest) -> bool:
     """Whether a request of few bytes may be answered in the event loop."""
+    return is_read_quickly(request) and (not isinstance(request, BatchRequest) or len(request.pushers) <= LIGHT_PUSHES)
+
+
+def is_read_quickly(request: object) -> bool:
+    """Whether the event loop may work out what a request of few bytes asks: it has few objects, and no pictures."""
     if isinstance(request, BatchRequest):
         contexts = request.contexts or ()
-        few = len(request.pushers) <= LIGHT_PUSHES and len(contexts) <= LIGHT_PUSHES
-        return few and all(context.image is None for context in contexts)
-    return request.context is None or request.context.image is None
+        return len(contexts) <= LIGHT_OBJECTS and all(context.image is None for context in contexts)
+    return not isinstance(request, PredictRequest) or request.context is None or request.context.image is None
 
 
 def _object(request: PredictRequest) -> Objects:

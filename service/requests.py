@@ -4,24 +4,22 @@ Every field carries its unit, an example and what it means; the OpenAPI document
 batch stop at their first fault: a body with a million faults costs no more than one with one.
 """
 
-import itertools
 from typing import Annotated, Final
 
 import numpy as np
+import orjson
 from pydantic import FailFast, Field
 from pydantic.config import JsonDict
 
 from service.contract import IndexArray, wrap_angle
-from service.errors import FieldFault, InvalidRequestError
+from service.errors import FieldFault, InvalidRequestError, MalformedBodyError
 from service.frames import DoubleArray, into_object_frame, wrap_angles
 from service.manifest import ModelReference
 from service.object_bodies import ContextBody
+from service.rows import MAX_PUSHES, WORLD_M, Rows
 from service.schemas import Body
 
 REACH_M: Final = 1.0  # a push is 50 mm: further from the object nothing can touch it
-WORLD_M: Final = 1e6  # as far as positions in the world may go: float64 keeps them to a nanometre
-MAX_PUSHES: Final = 10_000
-_POSE_PARTS: Final = 3
 
 
 class PusherBody(Body):
@@ -128,16 +126,6 @@ class PredictRequest(Prediction):
         return _reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), objects), "body.pusher")
 
 
-_ALONG: Final[JsonDict] = {"type": "number", "minimum": -WORLD_M, "maximum": WORLD_M}
-Row = Annotated[
-    list[float],
-    FailFast(),
-    Field(
-        min_length=_POSE_PARTS,
-        max_length=_POSE_PARTS,
-        json_schema_extra={"prefixItems": [_ALONG, _ALONG, {"type": "number"}]},
-    ),
-]
 Place = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUSHES - 1})]
 
 
@@ -145,11 +133,8 @@ class BatchRequest(Prediction):
     """Many pushes, of one object or of many, in columns."""
 
     pushers: Annotated[
-        list[Row],
-        FailFast(),
+        Rows,
         Field(
-            min_length=1,
-            max_length=MAX_PUSHES,
             description="for each push x, y, angle in m, m, rad: the pusher tip's pose in the object frame, or in the "
             "world when object_poses is given; at most 1 m from the object along its axes; angles are wrapped",
             examples=[[[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]]],
@@ -178,11 +163,8 @@ class BatchRequest(Prediction):
         ),
     ] = None
     object_poses: Annotated[
-        list[Row] | None,
-        FailFast(),
+        Rows | None,
         Field(
-            min_length=1,
-            max_length=MAX_PUSHES,
             description="x, y, angle in m, m, rad of the object in the world before the push: one for all pushes or "
             "one per push; the pusher poses are then in the world too, and so is the answer, with its covariances",
             examples=[[[0.4, 0.1, 1.57]]],
@@ -200,7 +182,7 @@ class BatchRequest(Prediction):
         if len(self.object_poses) not in (1, len(self.pushers)):
             received, accepted = f"{len(self.object_poses)} poses", f"1, or {len(self.pushers)}: one per push"
             raise InvalidRequestError([FieldFault("body.object_poses", received, accepted)])
-        return _poses(self.object_poses, WORLD_M, "body.object_poses")
+        return _reachable(self.object_poses, "body.object_poses", WORLD_M)
 
     def pusher_poses(self) -> DoubleArray:
         """The pusher poses in the object frame, (n, 3), their angles wrapped.
@@ -210,8 +192,9 @@ class BatchRequest(Prediction):
         """
         objects = self.objects()
         if objects is None:
-            return _poses(self.pushers, REACH_M, "body.pushers")
-        return _reachable(into_object_frame(_poses(self.pushers, WORLD_M, "body.pushers"), objects), "body.pushers")
+            return _reachable(self.pushers, "body.pushers")
+        world = _reachable(self.pushers, "body.pushers", WORLD_M)
+        return _reachable(into_object_frame(world, objects), "body.pushers")
 
     def places(self) -> IndexArray:
         """For each push the place of its context, (n,).
@@ -239,10 +222,18 @@ class BatchRequest(Prediction):
         return np.array(self.context_index, dtype=np.int64)
 
 
-def _poses(rows: list[list[float]], most_m: float, where: str) -> DoubleArray:
-    """Rows as poses (n, 3) with wrapped angles, no further out than that."""
-    poses = np.fromiter(itertools.chain.from_iterable(rows), np.float64, len(rows) * _POSE_PARTS)
-    return _reachable(poses.reshape(-1, _POSE_PARTS), where, most_m)
+def read_batch(content: bytes) -> BatchRequest:
+    """A batch from its JSON, by the faster of two readers; what it does not take, the documented way explains.
+
+    Raises:
+        MalformedBodyError: it is no JSON, or a number in it is too large.
+        ValidationError: it is JSON of another form.
+    """
+    try:
+        document = orjson.loads(content)
+    except orjson.JSONDecodeError as error:
+        raise MalformedBodyError(f"body: received no JSON ({error}); accepted is JSON in UTF-8") from error
+    return BatchRequest.model_validate(document)
 
 
 def _reachable(poses: DoubleArray, where: str, most_m: float = REACH_M) -> DoubleArray:
@@ -255,8 +246,9 @@ def _reachable(poses: DoubleArray, where: str, most_m: float = REACH_M) -> Doubl
     if far.any():
         row, column = (int(place) for place in np.argwhere(far)[0])
         raise InvalidRequestError([unreachable(f"{where}.{row}", float(poses[row, column]), most_m)])
-    poses[:, 2] = wrap_angles(poses[:, 2])
-    return poses
+    wrapped = poses.copy()
+    wrapped[:, 2] = wrap_angles(poses[:, 2])
+    return wrapped
 
 
 def unreachable(where: str, value_m: float, most_m: float = REACH_M) -> FieldFault:

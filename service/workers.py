@@ -1,8 +1,9 @@
 """Threads for what would hold up the event loop: large batches, images. Bounded in number, in queue and in time.
 
-A thread per processor that this container may use, since the runtime takes one thread per call: more would only take
-turns. What would wait behind a full queue is refused at once, so that the caller can go elsewhere; what waits longer
-than the deadline is told so, and dropped if it has not begun.
+A thread per processor that this container may use but one, which is the event loop's: the runtime takes one thread per
+call, more would only take turns, and a loop that waits for its turn holds up everybody. What would wait behind a full
+queue is refused at once, so that the caller can go elsewhere; what waits longer than the deadline is told so, and
+dropped if it has not begun.
 """
 
 import asyncio
@@ -72,6 +73,11 @@ class Workers:
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
+
+
+def threads_beside_the_loop() -> int:
+    """How many threads may be busy while the event loop still finds a processor; at least one."""
+    return max(1, processors() - 1)
 
 
 def processors(cgroup_cpu: Path = _CGROUP_CPU) -> int:

@@ -15,7 +15,8 @@ from PIL import Image
 
 from service.contract import BITS_PER_SIDE, SHAPE_DIGITS, SIDES, TRIANGULAR
 from service.predictions import MAX_IMAGES
-from service.requests import REACH_M, WORLD_M
+from service.requests import REACH_M
+from service.rows import WORLD_M
 
 Json = dict[str, Any]
 KINDS = {"descriptor": "indicator", "indicator": "indicator", "visual": "visual", "image": "visual"}

@@ -28,7 +28,7 @@ from service.object_bodies import IMAGE_EXAMPLE
 from service.predictions import LIGHT_PUSHES
 from service.predictor import OnnxPredictor
 from service.registry import Registry
-from service.workers import processors
+from service.workers import threads_beside_the_loop
 from tests.documented import Json, document, examples_of, listed_errors
 from tests.fakes import BUGGY, FAILING, Gate, load_fake, publish_fake
 from tests.serving import PATIENCE_S, ROOT, serve_in_thread
@@ -154,7 +154,7 @@ def one_a_caller(folder: Path) -> AbstractContextManager[Client]:
 
 def no_thread_left(folder: Path) -> AbstractContextManager[Client]:
     """Every thread has its batch, and none may wait."""
-    return held(folder, processors(), max_waiting=0)
+    return held(folder, threads_beside_the_loop(), max_waiting=0)
 
 
 def short_deadline(folder: Path) -> AbstractContextManager[Client]:

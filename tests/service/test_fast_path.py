@@ -1,10 +1,12 @@
 """The short way gives the bytes that the long way gives, and leaves everything unusual to it."""
 
+import gzip
 import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 from httpx2 import Response
@@ -111,11 +113,48 @@ def test_what_parsers_disagree_about_gets_the_same_bytes_both_ways(client: TestC
     both_ways(client, "/v1/predict", ODD[name])
 
 
-def test_a_long_batch_gets_the_same_bytes_both_ways(client: TestClient) -> None:
-    """In a thread, by either way."""
-    body = {"pushers": [[number / 1e4, 0.0, number] for number in range(2000)], "contexts": [{"visual": VISUAL}]}
+ODD_ROWS = {
+    "rows twice": b'{"pushers": [[9, 9, 9]], "pushers": [[0, 0, 0]]}',
+    "a truth value": b'{"pushers": [[true, 0, 0]]}',
+    "an infinity": b'{"pushers": [[0, 0, 1e999]]}',
+    "NaN": b'{"pushers": [[0, 0, NaN]]}',
+    "a long integer": b'{"pushers": [[0, 0, ' + b"7" * 300 + b"]]}",
+    "an integer beyond float64": b'{"pushers": [[0, 0, ' + b"7" * 400 + b"]]}",
+    "a deep list": b'{"pushers": ' + b"[" * 900 + b"]" * 900 + b"}",
+    "a deep stranger": b'{"pushers": [[0, 0, 0]], "other": ' + b"[" * 900 + b"]" * 900 + b"}",
+    "a number for the index": b'{"pushers": [[0, 0, 0]], "contexts": [{"descriptor": "1a2b3c4a"}], '
+    b'"context_index": [18446744073709551616]}',
+    "a list": b"[]",
+    "bytes behind it": b'{"pushers": [[0, 0, 0]]} \x00',
+    "a surrogate": b'{"pushers": [[0, 0, 0]], "model": "\\ud800"}',
+}
+
+
+@pytest.mark.parametrize("name", ODD_ROWS)
+def test_rows_that_parsers_disagree_about_get_the_same_bytes_both_ways(client: TestClient, name: str) -> None:
+    """The two ways have two JSON readers; nothing may show it."""
+    both_ways(client, "/v1/predict/batch", ODD_ROWS[name])
+
+
+@pytest.mark.parametrize("pushes", [2000, 9000], ids=["read in the loop", "read in a thread"])
+def test_a_long_batch_gets_the_same_bytes_both_ways(client: TestClient, pushes: int) -> None:
+    """The runtime in a thread, by either way."""
+    body = {"pushers": [[number / 1e4, 0.0, number] for number in range(pushes)], "contexts": [{"visual": VISUAL}]}
     short, _ = both_ways(client, "/v1/predict/batch", json.dumps(body).encode())
     assert short.status_code == 200
+
+
+def test_a_long_inference_gets_the_same_bytes_both_ways(client: TestClient) -> None:
+    """The long way inflates what the short way leaves to it."""
+    raw = np.linspace(-0.1, 0.1, 3000, dtype=np.float32).tobytes()
+    pusher = {"name": "pusher", "shape": [1000, 3], "datatype": "FP32", "parameters": {"binary_data_size": len(raw)}}
+    head = json.dumps({"id": "7", "inputs": [pusher], "parameters": {"binary_data_output": True}}).encode()
+    headers = {"Inference-Header-Content-Length": str(len(head)), "X-Request-ID": "the-same"}
+    path = "/v2/models/push-none/infer"
+    short = client.post(path, content=head + raw, headers=headers)
+    long = client.post(path, content=gzip.compress(head + raw), headers=headers | {"Content-Encoding": "gzip"})
+    assert short.status_code == 200
+    assert (short.content, dict(short.headers)) == (long.content, dict(long.headers))
 
 
 BODY = json.dumps({"pusher": PUSHER}).encode()

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import DeadlineError, OverloadedError
-from service.workers import Workers, processors
+from service.workers import Workers, processors, threads_beside_the_loop
 
 
 def test_a_function_runs_in_a_thread() -> None:
@@ -69,3 +69,8 @@ def test_threads_follow_the_containers_quota(tmp_path: Path, content: str, expec
     path = tmp_path / "cpu.max"
     path.write_text(content)
     assert processors(path) == (expected or processors(tmp_path / "absent"))
+
+
+def test_the_event_loop_is_left_a_processor_where_there_are_two() -> None:
+    """Work in threads leaves it one; where there is but one, they share it."""
+    assert threads_beside_the_loop() == max(1, processors() - 1)
