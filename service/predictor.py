@@ -61,6 +61,9 @@ class OnnxPredictor:
             self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's own errors share no root below this
             raise BrokenModelError("model.onnx: onnxruntime refuses the graph") from error
+        # It keeps the file, to begin anew on another device where this one fails: here is no other.
+        self._session.disable_fallback()
+        self._session._model_bytes = None
         _check_tensors("inputs", self._session.get_inputs(), expected_inputs(kind))
         _check_tensors("outputs", self._session.get_outputs(), OUTPUTS)
         self._kind = kind

@@ -108,6 +108,15 @@ def test_a_graph_with_other_tensors_is_a_broken_model(shipped: bytes) -> None:
         OnnxPredictor(shipped, ContextKind.NONE)
 
 
+def test_a_loaded_model_does_not_keep_its_file(project_root: Path) -> None:
+    """A worker would hold every byte twice."""
+    model = Registry(project_root / "models").read("push-indicator", 1).model
+    before = sys.getrefcount(model)
+    predictor = OnnxPredictor(model, ContextKind.INDICATOR)
+    assert sys.getrefcount(model) == before
+    del predictor
+
+
 def test_an_index_beyond_the_contexts_is_a_prediction_error(predictor: Predictor) -> None:
     """The runtime's refusal is translated."""
     pusher, context, index = pushes(2)
