@@ -11,7 +11,7 @@ the newest, so that the service has to load it, check it, swap it in and let the
 Percentiles are wrk's: it counts the requests that it would have sent while it waited, so that the 99th percentile is
 about the hundredth of the time in which answers were slowest. Noise is how far the phases without swaps are apart. Both
 cores of a small machine are shared by wrk, service and mover: read the ratios, not the times. Fails if any request
-failed or any swap was missed.
+failed, a swap was missed, or one named a version that was loaded already (the service counts both).
 """
 
 import argparse
@@ -19,6 +19,7 @@ import http.client
 import json
 import math
 import os
+import re
 import shutil
 import statistics
 import sys
@@ -154,6 +155,17 @@ def served_version(port: int) -> int:
     return int(json.loads(connection.getresponse().read())["model"]["version"])
 
 
+def counted(port: int) -> dict[str, int]:
+    """How many swaps and loads of the model the service has counted since it started."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
+    connection.request("GET", "/metrics")
+    text = connection.getresponse().read().decode()
+    return {
+        what: sum(int(float(value)) for value in re.findall(rf'^{counter}{{.*model="{NAME}".*}} (\S+)$', text, re.M))
+        for what, counter in (("swaps", "cazsl_alias_swaps_total"), ("loads", "cazsl_model_loads_total"))
+    }
+
+
 def phase(asked: Server, script: Path, target: Path | None, swaps: int, every_s: float) -> Latencies:
     """One run of wrk, an alias moving beside it unless there is no target."""
     seconds = math.ceil((swaps + 1) * every_s)
@@ -185,15 +197,19 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latenci
     phases = list(targets.items())
     with server([sys.executable, *OURS], free_port()) as asked:
         ask(asked, script, PATH, CONNECTIONS, 2)
+        before = counted(asked.port)
         for number in tqdm(range(options.rounds), desc="rounds", disable=None):
             for name, target in phases[number % 3 :] + phases[: number % 3]:
                 found[name].append(phase(asked, script, target, swaps, options.every_s))
         time.sleep(1.0)
         served, champion = served_version(asked.port), Registry(folder / "served").aliases(NAME)["champion"]
+        after = counted(asked.port)
+    done = {what: after[what] - before[what] for what in before}
     print(f"\n{options.rounds} rounds of {swaps} swaps, one every {options.every_s:g} s; failed requests: 0; ", end="")
+    print(f"the service counted {done['swaps']} swaps and {done['loads']} loads; ", end="")
     print(f"served at the end: version {served}, the champion: {champion}\n")
-    if served != champion:
-        raise SystemExit("a swap was missed")
+    if served != champion or set(done.values()) != {swaps * options.rounds}:
+        raise SystemExit("a swap was missed, or named a version that was loaded already")
     return found
 
 
