@@ -5,6 +5,7 @@ import contextlib
 import gc
 import logging
 from collections.abc import AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager
 from typing import Any, Final
 
 from fastapi import Depends, FastAPI
@@ -80,30 +81,11 @@ def create_app(
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
 
-    @contextlib.asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        """Look at the registry before the first request, unless that takes long, and from then on."""
-        looked = asyncio.Event()
-        timers = [
-            asyncio.create_task(_poll(models, settings.poll_interval_s, looked)),
-            asyncio.create_task(_probe(readiness, settings.probe_interval_s)),
-        ]
-        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers meanwhile, /readyz says so
-            await asyncio.wait_for(looked.wait(), _FIRST_LOOK_S)
-        yield
-        for timer in timers:
-            timer.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await timer
-        gc.unfreeze()
-        workers.close()
-        log.flush()
-
     app = Service(
         title="CAZSL",
         version=service.__version__,
         description=DESCRIPTION,
-        lifespan=lifespan,
+        lifespan=_lifespan(settings, models, readiness, workers, log),
         docs_url=None,  # ours asks no other host
         redoc_url=None,
         redirect_slashes=False,  # a redirect would name the host that the request claimed
@@ -126,6 +108,31 @@ def create_app(
     if app.rings is telemetry:  # whoever puts a ring around all requests has them all pass it
         app.state.short_way = ShortWay(fast_path, intake, telemetry)
     return app
+
+
+def _lifespan(
+    settings: Settings, models: LoadedModels, readiness: Readiness, workers: Workers, log: RequestLog
+) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
+    @contextlib.asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        """Look at the registry before the first request, unless that takes long, and from then on."""
+        looked = asyncio.Event()
+        timers = [
+            asyncio.create_task(_poll(models, settings.poll_interval_s, looked)),
+            asyncio.create_task(_probe(readiness, settings.probe_interval_s)),
+        ]
+        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers meanwhile, /readyz says so
+            await asyncio.wait_for(looked.wait(), _FIRST_LOOK_S)
+        yield
+        for timer in timers:
+            timer.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                await timer
+        gc.unfreeze()
+        workers.close()
+        log.flush()
+
+    return lifespan
 
 
 def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:

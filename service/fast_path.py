@@ -9,13 +9,13 @@ holds the same bounds, so a test can demand that both give the same bytes for ev
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, cast
+from typing import Any, Final
 
 from pydantic import ValidationError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.errors import CazslError, DeadlineError
-from service.inference import LENGTH_HEADER, LIGHT_BYTES, Inference, InferRequest, ask_inference, infer
+from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, ask_inference, infer
 from service.intake import WholeBody
 from service.keys import Keys
 from service.keys import Scope as KeyScope
@@ -23,6 +23,7 @@ from service.loaded_models import LoadedModels, Snapshot
 from service.predictions import (
     LIGHT_PUSHES,
     Answer,
+    Asked,
     Question,
     ask_batch,
     ask_one,
@@ -48,7 +49,7 @@ class Door:
     path: str  # its template; named as the framework's routes name theirs
     parse: Callable[[bytes], Any]
     predict: Callable[[Snapshot, Any], Answer]
-    ask: Callable[[Snapshot, Any], Question | Inference]
+    ask: Callable[[Snapshot, Any], Asked]
     most_bytes: int = LIGHT_BYTES  # of a body that is read in the event loop
 
     def answer(self, models: Snapshot, content: bytes) -> Answer:
@@ -95,13 +96,12 @@ class FastPath:
             await self._app(scope, WholeBody(content, receive), send)
             return
         scope["state"]["log"] = answer.log() | {"route": door.path}
-        headers = [*answer.headers, (b"content-length", b"%d" % len(answer.content))]
-        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        await send({"type": "http.response.start", "status": 200, "headers": answer.head()})
         await send({"type": "http.response.body", "body": answer.content})
 
-    def single_door(self, path: str, headers: Headers) -> Door | None:
-        """The way in for a POST of one push, when its headers ask for nothing that needs a second look."""
-        return self._door(path, headers) if path == SINGLE else None
+    def takes_single(self, path: str, headers: Headers) -> bool:
+        """Whether this is where single pushes go, and the headers ask for nothing that needs a second look."""
+        return path == SINGLE and self._door(path, headers) is not None
 
     def ask_single(self, content: bytes) -> Question | None:
         """What a body of a single push asks; None when reading it takes too long for the event loop.
@@ -119,9 +119,9 @@ class FastPath:
         request = door.parse(content)
         if not is_read_quickly(request):
             return await self._workers.run(door.predict, models, request)
-        question = door.ask(models, request)
         if isinstance(request, PredictRequest):
-            return await self.turns.answer(cast(Question, question))
+            return await self.turns.answer(ask_one(models, request))
+        question = door.ask(models, request)
         if len(question.pushers) <= LIGHT_PUSHES:
             return question.answer()
         # the runtime alone in a thread: what is Python holds one lock wherever it runs, and gives it away at a price

@@ -23,13 +23,12 @@ from service.errors import (
 from service.frames import wrap_angles
 from service.loaded_models import LoadedModel, Snapshot
 from service.manifest import OUTPUTS, ModelReference, parse_version
-from service.predictions import Answer
+from service.predictions import Answer, Asked, Objects
 from service.requests import REACH_M
 from service.tensors import Array, InferPart, read_inputs, read_json, render
 
 LENGTH_HEADER: Final = "inference-header-content-length"
-LIGHT_BYTES: Final = 16 * 1024  # of JSON: as much is answered in about the time that handing it to a thread takes
-_LIGHT_BINARY_BYTES: Final = 4 * 1024  # as many pushes take less room as numbers
+LIGHT_BYTES: Final = 16 * 1024  # as much is read in about the time that handing it to a thread takes
 _OUTPUT_NAMES: Final = tuple(tensor.name for tensor in OUTPUTS)
 _WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
 
@@ -42,10 +41,6 @@ class InferRequest:
     version: str | None
     header_length: str | None
     content: bytes
-
-    def is_light(self) -> bool:
-        """Whether it may be answered in the event loop."""
-        return len(self.content) <= (LIGHT_BYTES if self.header_length is None else _LIGHT_BINARY_BYTES)
 
 
 def parse_reference(model: str, version: str | None) -> ModelReference:
@@ -87,34 +82,14 @@ def inflate(content: bytes, encoding: str, most: int) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Inference:
-    """Pushes of objects that a model is asked about, and how the answer is written."""
+class Inference(Asked):
+    """Asked in tensors."""
 
-    model: LoadedModel
-    pushers: FloatArray  # (n, 3)
-    contexts: FloatArray | None
-    places: IndexArray | None
     wanted: Mapping[str, bool]  # outputs, in order, and whether as bytes
     id: str | None
 
-    def answer(self) -> Answer:
-        """Ask the model.
-
-        Raises:
-            PredictionError: as ``LoadedModel.predict``.
-        """
-        return self.answered(*self.predict())
-
-    def predict(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and std (n, 3), as the model has them.
-
-        Raises:
-            PredictionError: as ``LoadedModel.predict``.
-        """
-        return self.model.predict(self.pushers, self.model.manifest.context_kind, self.contexts, self.places)
-
     def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
-        """The answer that this mean and std (n, 3) make."""
+        """See ``Asked.answered``."""
         name, version = self.model.manifest.name, self.model.manifest.version
         document: dict[str, Any] = {"model_name": name, "model_version": str(version)}
         if self.id is not None:
@@ -148,8 +123,8 @@ def ask_inference(models: Snapshot, request: InferRequest) -> Inference:
     wanted = _wanted_outputs(part)
     inputs = read_inputs(part, raw, model.manifest.inputs)
     pushers = _pushers(inputs.get("pusher"))
-    contexts, places = _contexts(model, inputs, len(pushers))
-    return Inference(model, pushers, contexts, places, wanted, part.id)
+    objects = Objects(model.manifest.context_kind, *_contexts(model, inputs, len(pushers)))
+    return Inference(model, pushers, objects, wanted, part.id)
 
 
 def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:

@@ -28,7 +28,7 @@ from service.errors import (
     UnsupportedMediaTypeError,
 )
 from service.examples import protocol_errors
-from service.inference import LENGTH_HEADER, InferRequest, infer, inflate, parse_reference
+from service.inference import LENGTH_HEADER, LIGHT_BYTES, InferRequest, ask_inference, infer, inflate, parse_reference
 from service.inference_bodies import (
     RAW_ANSWER,
     ErrorBody,
@@ -42,6 +42,7 @@ from service.inference_bodies import (
     TensorBody,
 )
 from service.manifest import Tensor
+from service.predictions import LIGHT_PUSHES
 from service.tensors import DATATYPES
 
 _PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
@@ -207,9 +208,12 @@ async def _ask(request: Request, name: str, version: str | None) -> Response:
     if encoding is not None and encoding.lower() != "identity":
         content = await workers_of(request).run(inflate, content, encoding, request.app.state.max_body_bytes)
     asked = InferRequest(name, version, request.headers.get(LENGTH_HEADER), content)
-    if asked.is_light():
-        return respond(request, infer(snapshot_of(request), asked))
-    return respond(request, await workers_of(request).run(infer, snapshot_of(request), asked))
+    if len(content) > LIGHT_BYTES:
+        return respond(request, await workers_of(request).run(infer, snapshot_of(request), asked))
+    inference = ask_inference(snapshot_of(request), asked)
+    if len(inference.pushers) > LIGHT_PUSHES:  # as numbers they take a fraction of the bytes
+        return respond(request, await workers_of(request).run(inference.answer))
+    return respond(request, inference.answer())
 
 
 def _tensor_body(tensor: Tensor) -> TensorBody:

@@ -4,6 +4,7 @@ Every way in comes through here, the fast one and the documented one, so that bo
 object frame are written as float32 needs them and no longer; those of the world frame as float64.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -39,6 +40,10 @@ class Answer:
     pushes: int
     headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
 
+    def head(self) -> tuple[tuple[bytes, bytes], ...]:
+        """All headers, in the framework's order."""
+        return (*self.headers, (b"content-length", b"%d" % len(self.content)))
+
     def log(self) -> dict[str, str | int]:
         """Fields for the request's line in the log."""
         return {"model": self.model, "version": self.version, "pushes": self.pushes}
@@ -57,14 +62,12 @@ NO_OBJECT: Final = Objects(ContextKind.NONE, None, None)
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
-    """Pushes of objects that a model is asked about, and how the answer is written."""
+class Asked(ABC):
+    """Pushes of objects that a model is asked about; who asks says how the answer is written."""
 
     model: LoadedModel
     pushers: FloatArray  # (n, 3), in the object frame
     objects: Objects
-    frames: DoubleArray | None  # where the objects are in the world, (1, 3) or (n, 3), where that was said
-    render: Render
 
     def answer(self) -> Answer:
         """Ask the model.
@@ -83,8 +86,21 @@ class Question:
         objects = self.objects
         return self.model.predict(self.pushers, objects.kind, objects.tensor, objects.places)
 
+    @abstractmethod
     def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
         """The answer that this mean and std (n, 3) make."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Question(Asked):
+    """Asked in JSON of ours, with the objects in the world where that was said."""
+
+    frames: DoubleArray | None  # where the objects are, (1, 3) or (n, 3)
+    render: Render
+
+    def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """See ``Asked.answered``."""
         name, version = self.model.manifest.name, self.model.manifest.version
         document: dict[str, object] = {"model": {"name": name, "version": version}}
         if self.frames is None:

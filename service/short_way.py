@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from starlette.types import Scope
 
 from service.errors import CazslError
-from service.fast_path import Door, FastPath, Headers
+from service.fast_path import SINGLE, FastPath, Headers
 from service.inference import LIGHT_BYTES
 from service.intake import Intake, declared_length
 from service.predictions import Question
@@ -35,7 +35,6 @@ class ShortRequest:
     """A request that may be answered here, once its body is whole."""
 
     scope: Scope
-    door: Door
     began_s: float
     body: bytearray = field(default_factory=bytearray)
 
@@ -50,10 +49,10 @@ class ShortWay:
 
     def open(self, target: bytes, scope: Scope) -> ShortRequest | None:
         """The beginning of a POST to this target; None when it takes the long way."""
-        door = self._fast_path.single_door(target.decode("latin-1"), scope["headers"])
-        if door is None or not 0 < declared_length(scope) <= LIGHT_BYTES:
+        plain = self._fast_path.takes_single(target.decode("latin-1"), scope["headers"])
+        if not plain or not 0 < declared_length(scope) <= LIGHT_BYTES:
             return None
-        return ShortRequest(scope, door, time.perf_counter())
+        return ShortRequest(scope, time.perf_counter())
 
     def answer(self, request: ShortRequest, reply: Reply, leave: Leave) -> None:
         """Answer a whole request at the end of this turn, or have it leave for the long way, now or then."""
@@ -90,7 +89,6 @@ class ShortWay:
         answer = question.answered(mean, std)
         scope = request.scope
         request_id = self._telemetry.begin(scope)
-        scope["state"]["log"] = answer.log() | {"route": request.door.path}
-        length = (b"content-length", b"%d" % len(answer.content))
-        reply((*answer.headers, length, (b"x-request-id", request_id.encode())), answer.content)
+        scope["state"]["log"] = answer.log() | {"route": SINGLE}
+        reply((*answer.head(), (b"x-request-id", request_id.encode())), answer.content)
         self._telemetry.note(scope, _OK, time.perf_counter() - request.began_s, [("inference", seconds)])

@@ -144,3 +144,12 @@ def fake_models(root: Path) -> tuple[Registry, LoadedModels]:
     models = LoadedModels(registry, load_fake)
     models.refresh()
     return registry, models
+
+
+def all_fake_models(folder: Path) -> tuple[Registry, LoadedModels]:
+    """Fakes of every kind, and one that fails but for the push of its self-check, loaded."""
+    registry, models = fake_models(folder)
+    publish_fake(registry, "push-visual", ContextKind.VISUAL)
+    publish_fake(registry, "push-failing", model=FAILING)
+    models.refresh()
+    return registry, models

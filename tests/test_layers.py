@@ -81,6 +81,7 @@ SERVICE: dict[str, set[str]] = {
         "inference",
         "inference_bodies",
         "manifest",
+        "predictions",
         "tensors",
     },
     "documentation": set(),

@@ -201,15 +201,7 @@ def publish(
         ),
         image_convention=image_convention,
         recipe=recipe.record(),
-        data=DataRecord(
-            source=pushes.source,
-            sha256=pushes.digest,
-            split=split.name,
-            train_objects=len(train.descriptors),
-            train_pushes=train.count,
-            held_out_objects=len(held_out.descriptors),
-            held_out_pushes=held_out.count,
-        ),
+        data=_data_record(pushes, split, train, held_out),
         code_version=service.__version__,
         metrics={set_up.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
         calibration={set_up.name: _calibration(found)},
@@ -217,6 +209,18 @@ def publish(
         files={},
     )
     return registry.publish(draft, model, render_card(draft, found, train, parity))
+
+
+def _data_record(pushes: Pushes, split: Split, train: Pushes, held_out: Pushes) -> DataRecord:
+    return DataRecord(
+        source=pushes.source,
+        sha256=pushes.digest,
+        split=split.name,
+        train_objects=len(train.descriptors),
+        train_pushes=train.count,
+        held_out_objects=len(held_out.descriptors),
+        held_out_pushes=held_out.count,
+    )
 
 
 def _measured_split(recipe: Recipe, judged: Recipe) -> Split:

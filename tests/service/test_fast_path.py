@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from starlette.responses import PlainTextResponse
 
 from service.app import create_app
-from service.contract import ContextKind
 from service.fast_path import FastPath
 from service.intake import Intake, IntakeLimits
 from service.keys import Keys
@@ -25,7 +24,7 @@ from service.registry import Registry
 from service.settings import Settings
 from service.telemetry import RequestLog, RequestTelemetry
 from service.workers import Workers
-from tests.fakes import FAILING, fake_models, publish_fake
+from tests.fakes import all_fake_models
 from tests.questions import ODD, PUSHER, VISUAL, contexts, numbers, pushes, references
 
 PLAIN = {"Content-Type": "application/json"}
@@ -36,11 +35,7 @@ Served = tuple[Registry, LoadedModels]
 @pytest.fixture(scope="module")
 def served(tmp_path_factory: pytest.TempPathFactory) -> Served:
     """Fakes of every kind."""
-    registry, models = fake_models(tmp_path_factory.mktemp("models"))
-    publish_fake(registry, "push-visual", ContextKind.VISUAL)
-    publish_fake(registry, "push-failing", model=FAILING)
-    models.refresh()
-    return registry, models
+    return all_fake_models(tmp_path_factory.mktemp("models"))
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from service.app import create_app
 from service.contract import ContextKind, ObjectContext
-from service.inference import InferRequest
 from service.loaded_models import LoadedModels
 from service.registry import Registry
 from service.settings import Settings
@@ -132,18 +131,26 @@ def test_a_version_can_be_asked_by_its_number_and_a_model_by_its_alias(client: T
         assert (answer["model_name"], answer["model_version"], answer["id"]) == ("push-indicator", version, "42")
 
 
-@pytest.mark.parametrize(("pushes", "is_light"), [(1, True), (200, True), (1000, False)])
-def test_many_pushes_leave_the_event_loop_in_either_form(client: TestClient, pushes: int, is_light: bool) -> None:
-    """Raw they are a fraction of the bytes, and as much work; and one by one they get the same numbers."""
+def queued(client: TestClient) -> int:
+    """How many requests went to a thread so far."""
+    lines = client.get("/metrics").text.splitlines()
+    return sum(int(float(line.split()[-1])) for line in lines if line.startswith("cazsl_queue_wait_seconds_count"))
+
+
+@pytest.mark.parametrize("way", [{}, {"Content-Encoding": "identity"}], ids=["short", "long"])
+@pytest.mark.parametrize(("pushes", "threads"), [(1, 0), (200, 0), (1000, 1)])
+def test_many_pushes_leave_the_event_loop_in_either_form(
+    client: TestClient, pushes: int, threads: int, way: dict[str, str]
+) -> None:
+    """Raw they are a fraction of the bytes, and as much work; and they get the numbers of few."""
     many = np.resize(PUSHES, (pushes, 3))
     content, header = packed(("pusher", many), ("context", INDICATOR[None]))
     nested = json.dumps(document(inputs=[tensor("pusher", many), tensor("context", INDICATOR[None])])).encode()
-
-    assert InferRequest("push-indicator", None, header[LENGTH], content).is_light() is is_light
-    assert InferRequest("push-indicator", None, None, nested).is_light() is is_light
-    found = numbers(client.post(URL, content=content, headers=header))
-    expected = numbers(client.post(URL, json=document()))
-    assert found["mean"].tolist() == np.resize(expected["mean"], (pushes, 3)).tolist()
+    expected = np.resize(numbers(client.post(URL, json=document()))["mean"], (pushes, 3)).tolist()
+    for body, headers in ((content, header | way), (nested, way)):
+        before = queued(client)
+        assert numbers(client.post(URL, content=body, headers=headers))["mean"].tolist() == expected
+        assert queued(client) - before == threads
 
 
 def test_json_and_raw_tensors_get_the_same_numbers(client: TestClient) -> None:

@@ -16,7 +16,6 @@ from starlette.responses import PlainTextResponse
 
 from service.app import create_app
 from service.connections import LEAVE
-from service.contract import ContextKind
 from service.fast_path import FastPath
 from service.inference import LIGHT_BYTES
 from service.intake import Intake, IntakeLimits
@@ -27,7 +26,7 @@ from service.settings import Settings
 from service.short_way import ShortWay
 from service.telemetry import RequestLog, RequestTelemetry
 from service.workers import Workers
-from tests.fakes import FAILING, fake_models, publish_fake
+from tests.fakes import all_fake_models
 from tests.questions import ODD, PUSHER, pushes
 from tests.wires import Wire, post, whole_answers
 
@@ -43,11 +42,7 @@ alike = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], de
 @pytest.fixture(scope="module")
 def models(tmp_path_factory: pytest.TempPathFactory) -> LoadedModels:
     """Fakes of every kind, and one that fails."""
-    registry, found = fake_models(tmp_path_factory.mktemp("models"))
-    publish_fake(registry, "push-visual", ContextKind.VISUAL)
-    publish_fake(registry, "push-failing", model=FAILING)
-    found.refresh()
-    return found
+    return all_fake_models(tmp_path_factory.mktemp("models"))[1]
 
 
 @pytest.fixture(scope="module")
