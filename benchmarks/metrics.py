@@ -1,110 +1,74 @@
 """What counting costs a single push: ``python -m benchmarks.metrics``.
 
-A push goes through the whole app in process, without sockets, with metrics and without, in turns of a hundred; beside
-it stands what the counting takes by itself. Ratios of one run; the smaller of many turns is taken, since machines are
-shared.
+Two services, one of which does not count, are asked by wrk in turns: medians of processor time and of throughput, as
+ratios of one run. Beside them stands what the counting takes by itself, and a scrape. wrk has to be installed.
 """
 
-import asyncio
-import io
-import json
+import sys
+import tempfile
 import time
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from statistics import median
 from typing import Any
 
-from starlette.types import Message
+from benchmarks.asking import OURS, PUSH, Figures, Load, ask, free_port, server
+from service.cli import main as cazsl
+from service.metrics import RequestMetrics, exposition, render
 
-from service.app import Service, create_app
-from service.loaded_models import LoadedModels
-from service.metrics import RequestMetrics, render
-from service.predictor import OnnxPredictor
-from service.registry import Registry
-from service.settings import Settings
-from service.stopwatch import Parts, listen, took
-from service.telemetry import RequestLog, RequestTelemetry
-
-MODELS = Path(__file__).resolve().parent.parent / "models"
-BODY = json.dumps({"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}).encode()
-TURNS, PUSHES = 400, 100
-NOTED = {"model": "push-indicator", "version": 1, "pushes": 1}
+ROUNDS, SECONDS, CONNECTIONS = 20, 2, 16
+LINES = 10_000
+LINE = {"route": "/v1/predict", "status": 200, "model": "push-indicator", "version": 1, "pushes": 1}
 
 
-class Nobody:
-    """Counts nothing."""
+def serve_uncounted() -> None:
+    """The service's own command, but that it counts nothing."""
 
-    def note(self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Parts) -> None:
+    def note(_: RequestMetrics, __: Mapping[str, Any]) -> None:
         """Nothing."""
 
-    def refuse(self, reason: str) -> None:
-        """Nothing."""
+    RequestMetrics.note = note  # type: ignore[assignment,method-assign]  # in a process of its own
+    cazsl()
 
 
-async def push(rings: RequestTelemetry) -> None:
-    """One request, as a server would hand it in."""
-    headers = [(b"host", b"localhost"), (b"content-type", b"application/json"), (b"accept", b"*/*")]
-    scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": headers, "client": ("127.0.0.1", 1)}
-
-    async def receive() -> Message:
-        """What the client sends."""
-        return {"type": "http.request", "body": BODY, "more_body": False}
-
-    async def send(message: Message) -> None:
-        """What the client is sent."""
-        if message["type"] == "http.response.start" and message["status"] != 200:
-            raise SystemExit(f"no prediction: {message}")
-
-    await rings(scope, receive, send)
+def through_sockets() -> dict[str, list[Figures]]:
+    """Both services by turns, as clients ask them."""
+    uncounted = ["-c", "from benchmarks.metrics import serve_uncounted as serve; serve()", "serve"]
+    runs: dict[str, list[Figures]] = {"counting": [], "not counting": []}
+    with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
+        script = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(Path(folder), "push")
+        commands = zip(runs, (OURS, uncounted), strict=True)
+        servers = {name: stack.enter_context(server([sys.executable, *words], free_port())) for name, words in commands}
+        for number in range(ROUNDS):
+            for name in list(servers) if number % 2 else reversed(servers):
+                runs[name].append(ask(servers[name], script, "/v1/predict", CONNECTIONS, SECONDS))
+    return runs
 
 
-async def turn(rings: RequestTelemetry) -> float:
-    """Seconds a push, over a turn."""
+def alone_s(metrics: RequestMetrics) -> float:
+    """Seconds that counting one push takes by itself."""
+    lines = [LINE | {"duration_ms": 0.1, "inference_ms": 0.01} for _ in range(LINES)]
     began = time.perf_counter()
-    for _ in range(PUSHES):
-        await push(rings)
-    return (time.perf_counter() - began) / PUSHES
+    for line in lines:
+        metrics.note(line)
+    return (time.perf_counter() - began) / LINES
 
 
-def counting(metrics: RequestMetrics) -> float:
-    """Seconds that counting one push takes by itself: two looks at the clock, a part, a note."""
-    began = time.perf_counter()
-    for _ in range(10_000):
-        parts: Parts = []
-        listen(parts)
-        start = time.perf_counter()
-        took("inference", time.perf_counter() - start)
-        metrics.note("/v1/predict", 200, 0.0001, NOTED, parts)
-    return (time.perf_counter() - began) / 10_000
-
-
-async def main() -> None:
+def main() -> None:
     """Measure and print."""
-    models = LoadedModels(Registry(MODELS), OnnxPredictor)
-    models.refresh()
-    app = create_app(Settings(), models, RequestLog(io.StringIO()))
-    assert isinstance(app, Service)  # noqa: S101  # what create_app makes
-    counted = app.rings
-    assert isinstance(counted, RequestTelemetry)  # noqa: S101
-    uncounted = RequestTelemetry(counted.app, _no_error, RequestLog(io.StringIO()), Nobody())
-    times: dict[str, list[float]] = {"with": [], "without": []}
-    for number in range(TURNS):
-        pair = [("with", counted), ("without", uncounted)]
-        for name, rings in pair if number % 2 else reversed(pair):
-            times[name].append(await turn(rings))
-    with_us, without_us = min(times["with"]) * 1e6, min(times["without"]) * 1e6
-    alone_us = min(counting(app.state.requests) for _ in range(20)) * 1e6
+    counted, free = through_sockets().values()
+    cost = median(one.cpu_us / other.cpu_us - 1.0 for one, other in zip(counted, free, strict=True))
+    lost = median(1.0 - one.requests_per_s / other.requests_per_s for one, other in zip(counted, free, strict=True))
+    metrics = RequestMetrics(lambda *_: True)
+    print(f"a push without counting   {median(one.cpu_us for one in free):7.2f} us, median of {ROUNDS} rounds")
+    print(f"counting adds             {100 * cost:+7.1f} % of processor time")
+    print(f"and takes                 {100 * lost:7.1f} % of throughput")
+    print(f"counting by itself        {1e6 * min(alone_s(metrics) for _ in range(20)):7.2f} us")
     began = time.perf_counter()
-    size = len(render(app.state.metrics))
-    scrape_ms = (time.perf_counter() - began) * 1e3
-    print(f"a push without counting   {without_us:7.2f} us")
-    print(f"a push with counting      {with_us:7.2f} us   {100 * (with_us / without_us - 1):+.1f} %")
-    print(f"counting by itself        {alone_us:7.2f} us   {100 * alone_us / without_us:.1f} % of a push")
-    print(f"a scrape of {size} bytes   {scrape_ms:7.2f} ms")
-
-
-async def _no_error(*_: object) -> None:
-    raise SystemExit("a push failed")
+    size = len(render(exposition(metrics)))
+    print(f"a scrape of {size} bytes   {1e3 * (time.perf_counter() - began):7.2f} ms")
 
 
 if __name__ == "__main__":
-    asyncio.run(main())
+    main()

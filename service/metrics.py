@@ -1,12 +1,12 @@
 """What Prometheus reads: how many, how long, how sure we are that models answer.
 
-Counting happens in the event loop only and costs about a microsecond: a request finds its series by one look into a
-dictionary. Everything else is done when somebody reads. Labels are templates of routes, codes of problems, and
-names and versions of models that are served; series of versions that are served no more are dropped, so that a
-registry that changes for years does not grow them. A process has its own metrics: replicas are summed by Prometheus.
+Requests are counted from their lines of the log, hundreds at a time: a request itself only keeps its line. Labels are
+templates of routes, codes of problems, and names and versions of models that are served; series of versions that are
+served no more are dropped, so that a registry that changes for years does not grow them. A process has its own metrics:
+replicas are summed by Prometheus.
 """
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
@@ -18,8 +18,6 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from service.stopwatch import Part, Parts
-
 CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 # A single push takes 0.1 ms, ten thousand of them with images take seconds.
 SECONDS: Final = (
@@ -28,42 +26,34 @@ SECONDS: Final = (
 )
 INFERENCE_SECONDS: Final = (0.00001, 0.000025, 0.00005, *SECONDS[:-3])
 ROWS: Final = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0, 10_000.0)
-_FOLD: Final = 1024
+_TOGETHER: Final = 512
+Line = Mapping[str, Any]
 MODEL_LABELS: Final = ("route", "model", "version")
 
 
 class Distribution:
-    """Counts of values by bound, and their sum: what a histogram of Prometheus is made of.
+    """Counts of values by bound, and their sum: what a histogram of Prometheus is made of."""
 
-    Values are appended to ``recent``, and sorted into their buckets many at a time: one by one costs more.
-    """
-
-    __slots__ = ("_bounds", "_counts", "_total", "recent")
+    __slots__ = ("_bounds", "_counts", "_total")
 
     def __init__(self, bounds: Sequence[float]) -> None:
-        self.recent: list[float] = []
         self._bounds = bounds
         self._counts = np.zeros(len(bounds) + 1, dtype=np.int64)
         self._total = 0.0
 
-    def fold(self) -> None:
-        """Sort what is recent into buckets; one thread at a time, others may append meanwhile."""
-        count = len(self.recent)
-        if not count:
-            return
-        values = np.array(self.recent[:count])
-        del self.recent[:count]
+    def add(self, values: Sequence[float]) -> None:
+        """Sort values into buckets."""
         places = np.searchsorted(self._bounds, values)  # the first bound that is not below
         self._counts += np.bincount(places, minlength=len(self._counts))
-        self._total += float(values.sum())
+        self._total += sum(values)
 
     @property
     def total(self) -> float:
-        """The sum of what was folded."""
+        """The sum of what was added."""
         return self._total
 
     def buckets(self) -> list[tuple[str, float]]:
-        """Upper bounds and how many of what was folded were no greater, as Prometheus has them."""
+        """Upper bounds and how many of what was added were no greater, as Prometheus has them."""
         names = (*map(repr, self._bounds), "+Inf")
         return list(zip(names, self._counts.cumsum().astype(float).tolist(), strict=True))
 
@@ -77,51 +67,43 @@ class Served:
     rows: Distribution = field(default_factory=lambda: Distribution(ROWS))
     statuses: Counter[int] = field(default_factory=Counter)
 
-    def fold(self) -> None:
-        """Sort what is recent into buckets."""
-        for distribution in (self.duration_s, self.inference_s, self.rows):
-            distribution.fold()
+    def add(self, lines: Sequence[Line]) -> None:
+        """Count requests."""
+        self.duration_s.add(_seconds(lines, "duration_ms"))
+        self.inference_s.add(_seconds(lines, "inference_ms"))
+        self.rows.add([line["pushes"] for line in lines if "pushes" in line])
+        self.statuses.update([line["status"] for line in lines])
 
 
 class RequestMetrics(Collector):
-    """Every request: its route, its model, its time and that of its parts."""
+    """Every request: its route, its model, its time and that of its parts, all from its line of the log.
+
+    Lines are kept, as the log keeps them until it writes, and counted many at a time: one by one costs more.
+    """
 
     def __init__(self, is_served: Callable[[str, int], bool]) -> None:
         self._is_served = is_served
-        self._series: dict[tuple[str, str, int], Served] = {}
+        self._series: dict[tuple[str, str, int], Served] = defaultdict(Served)
         self._statuses: Counter[tuple[str, int]] = Counter()  # of series that were dropped: a counter never falls
-        self._waits: dict[Part, Distribution] = {"queue": Distribution(SECONDS), "decode": Distribution(SECONDS)}
-        self._folding = Lock()
+        self._waits = {"queue_ms": Distribution(SECONDS), "decode_ms": Distribution(SECONDS)}
+        self._lines: list[Line] = []
+        self._counting = Lock()
         self._refusals: Counter[str] = Counter()
 
-    def note(self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Parts) -> None:
-        """Count a request: what it took, what the log says of its model, and (name, seconds) of its parts."""
-        key = (route, noted["model"], noted["version"]) if noted else (route, "", 0)
-        series = self._series.get(key)
-        if series is None:
-            self._drop_released()  # whether or not anybody ever reads
-            series = self._series[key] = Served()
-        series.statuses[status] += 1
-        durations = series.duration_s.recent
-        durations.append(duration_s)
-        if noted:
-            series.rows.recent.append(noted["pushes"])
-        for name, seconds in parts:
-            if name == "inference":
-                series.inference_s.recent.append(seconds)
-            else:
-                self._waits[name].recent.append(seconds)
-        if len(durations) >= _FOLD:
-            self._fold()
+    def note(self, line: Line) -> None:
+        """Count a request by its line of the log."""
+        self._lines.append(line)
+        if len(self._lines) >= _TOGETHER:
+            self._count()
 
     def refuse(self, reason: str) -> None:
-        """Count a request that was answered by a problem of this code."""
-        self._refusals[reason] += 1
+        """Count what was refused before it was a request, and leaves no line."""
+        with self._counting:
+            self._refusals[reason] += 1
 
     def collect(self) -> Iterator[Metric]:
         """The families, as they are now."""
-        self._fold()
-        self._drop_released()
+        self._count()
         series = [((route, model, str(version or "")), found) for (route, model, version), found in self._items()]
         statuses = Counter(self._statuses)
         for (route, *_), found in series:
@@ -153,11 +135,11 @@ class RequestMetrics(Collector):
         )
         yield _histogram(
             "cazsl_queue_wait_seconds",
-            "How long large batches and images waited for a thread.",
+            "How long large batches and images waited for threads, by request.",
             (),
-            [((), self._waits["queue"])],
+            [((), self._waits["queue_ms"])],
         )
-        yield _histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._waits["decode"])])
+        yield _histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._waits["decode_ms"])])
         yield _counter(
             "cazsl_refusals",
             "Requests answered by a problem, by its code.",
@@ -165,22 +147,32 @@ class RequestMetrics(Collector):
             (((reason,), count) for reason, count in list(self._refusals.items())),
         )
 
-    def _fold(self) -> None:
-        with self._folding:  # from the event loop, or the thread of somebody who reads
-            for wait in self._waits.values():
-                wait.fold()
-            for _, found in self._items():
-                found.fold()
+    def _count(self) -> None:
+        with self._counting:  # from the event loop, or the thread of somebody who reads
+            lines = self._lines[:]
+            del self._lines[: len(lines)]
+            self._refusals.update([line["code"] for line in lines if "code" in line])
+            for name, wait in self._waits.items():
+                wait.add(_seconds(lines, name))
+            groups: dict[tuple[str, str, int], list[Line]] = defaultdict(list)
+            for line in lines:
+                groups[line["route"], line.get("model", ""), line.get("version", 0)].append(line)
+            for key, group in groups.items():
+                self._series[key].add(group)
+            self._drop_released()  # whether or not anybody ever reads
 
     def _items(self) -> list[tuple[tuple[str, str, int], Served]]:
         return list(self._series.items())  # in one go: whoever reads may do so in a thread
 
     def _drop_released(self) -> None:
-        with self._folding:
-            for (route, model, version), found in self._items():
-                if model and not self._is_served(model, version):
-                    del self._series[route, model, version]
-                    self._statuses.update({(route, status): count for status, count in found.statuses.items()})
+        for (route, model, version), found in self._items():
+            if model and not self._is_served(model, version):
+                del self._series[route, model, version]
+                self._statuses.update({(route, status): count for status, count in found.statuses.items()})
+
+
+def _seconds(lines: Sequence[Line], name: str) -> list[float]:
+    return [line[name] / 1000.0 for line in lines if name in line]
 
 
 @dataclass(frozen=True)

@@ -103,12 +103,8 @@ def route_of(scope: Scope) -> str:
 class RequestObserver(Protocol):
     """Whoever counts requests."""
 
-    def note(self, route: str, status: int, duration_s: float, noted: Mapping[str, Any], parts: Parts) -> None:
-        """A request was answered, or its client left: what the log says of its model, and what its parts took."""
-        ...
-
-    def refuse(self, reason: str) -> None:
-        """It was answered by a problem of this code."""
+    def note(self, line: Mapping[str, Any]) -> None:
+        """A request was answered, or its client left; this is its line of the log, whether or not it is written."""
         ...
 
 
@@ -169,28 +165,24 @@ class RequestTelemetry:
     def note(self, scope: Scope, status: int, duration_s: float, parts: Parts) -> None:
         """Count and log a request that began, and was answered or left."""
         state = scope["state"]
-        noted = state.get("log", _NOTHING)
         template = route_of(scope)
-        refusal = state.get("refusal")
-        self._observer.note(template, status, duration_s, noted, parts)
-        if refusal is not None:
-            self._observer.refuse(refusal)
-        if not logger.isEnabledFor(logging.DEBUG if template in _QUIET_ROUTES else logging.INFO):
-            return
         line: dict[str, Any] = {
             "time": datetime.now(UTC),
             "request_id": state["request_id"],
             "method": scope["method"],
             "route": template,
             "status": status,
-            "duration_ms": round(duration_s * 1000.0, 3),
+            "duration_ms": round(duration_s * 1000.0, 4),
         }
         for part, seconds in parts:
             name = _PART_FIELDS[part]
-            line[name] = round(line.get(name, 0.0) + seconds * 1000.0, 3)
-        if refusal is not None:
-            line["code"] = refusal
-        self.log.add(line | _trace_of(scope) | noted)
+            line[name] = round(line.get(name, 0.0) + seconds * 1000.0, 4)
+        if "refusal" in state:
+            line["code"] = state["refusal"]
+        line |= _trace_of(scope) | state.get("log", _NOTHING)
+        self._observer.note(line)
+        if logger.isEnabledFor(logging.DEBUG if template in _QUIET_ROUTES else logging.INFO):
+            self.log.add(line)
 
 
 def _trace_of(scope: Scope) -> dict[str, str]:

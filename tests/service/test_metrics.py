@@ -6,9 +6,15 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from service.metrics import Distribution, Reading, Readings, RequestMetrics, exposition, render
-from service.stopwatch import Parts
 
-ANSWER = {"model": "push-indicator", "version": 1, "pushes": 3}
+LINE = {
+    "route": "/v1/predict",
+    "status": 200,
+    "duration_ms": 1.0,
+    "model": "push-indicator",
+    "version": 1,
+    "pushes": 3,
+}
 
 
 def scraped(*collectors: RequestMetrics | Readings) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
@@ -33,7 +39,7 @@ def metrics() -> RequestMetrics:
 
 
 def test_versions_leave_no_series_behind_where_nobody_reads() -> None:
-    """Asked about each series when somebody reads at last, the registry is not asked about a thousand."""
+    """Most were counted and dropped long before somebody reads at last."""
     asked: list[int] = []
 
     def is_served(name: str, version: int) -> bool:
@@ -42,34 +48,33 @@ def test_versions_leave_no_series_behind_where_nobody_reads() -> None:
 
     metrics = RequestMetrics(is_served)
     for newest in range(1, 1001):
-        metrics.note("/v1/predict", 200, 0.001, {**ANSWER, "version": newest}, [])
+        metrics.note({**LINE, "version": newest})
     asked.clear()
     found = scraped(metrics)
-    assert set(asked) == {1000}
+    assert min(asked) >= 512
     assert sample(found, "cazsl_requests_total", route="/v1/predict", status="200") == 1000.0
 
 
 def test_a_value_on_a_bound_counts_below_it() -> None:
     """Prometheus's buckets are cumulative and closed above."""
     found = Distribution((1.0, 2.0))
-    for value in (0.5, 1.0, 1.5, 9.0):
-        found.recent.append(value)
-    found.fold()
-    found.fold()
+    found.add([0.5, 1.0, 1.5])
+    found.add([])
+    found.add([9.0])
     assert found.buckets() == [("1.0", 2.0), ("2.0", 3.0), ("+Inf", 4.0)]
     assert found.total == 12.0
 
 
 def test_a_request_is_counted_by_route_model_and_version(metrics: RequestMetrics) -> None:
     """Latency, inference, rows and status; the parts that have no model by themselves."""
-    parts: Parts = [("queue", 0.02), ("decode", 0.2), ("inference", 0.00003)]
-    metrics.note("/v1/predict/batch", 200, 0.3, ANSWER, parts)
+    took = {"duration_ms": 300.0, "queue_ms": 20.0, "decode_ms": 200.0, "inference_ms": 0.03}
+    metrics.note({**LINE, "route": "/v1/predict/batch", **took})
     labels = {"route": "/v1/predict/batch", "model": "push-indicator", "version": "1"}
     found = scraped(metrics)
     assert sample(found, "cazsl_request_duration_seconds_count", **labels) == 1.0
     assert sample(found, "cazsl_request_duration_seconds_bucket", **labels, le="0.25") == 0.0
     assert sample(found, "cazsl_request_duration_seconds_bucket", **labels, le="0.5") == 1.0
-    assert sample(found, "cazsl_inference_duration_seconds_sum", **labels) == 0.00003
+    assert sample(found, "cazsl_inference_duration_seconds_sum", **labels) == pytest.approx(0.00003)
     assert sample(found, "cazsl_request_rows_sum", **labels) == 3.0
     assert sample(found, "cazsl_queue_wait_seconds_sum") == 0.02
     assert sample(found, "cazsl_image_decode_seconds_sum") == 0.2
@@ -78,8 +83,7 @@ def test_a_request_is_counted_by_route_model_and_version(metrics: RequestMetrics
 
 def test_refusals_are_counted_by_reason(metrics: RequestMetrics) -> None:
     """The code of the problem, and the status under the route; no model has answered."""
-    metrics.note("/v1/predict", 422, 0.001, {}, [])
-    metrics.refuse("invalid_request")
+    metrics.note({"route": "/v1/predict", "status": 422, "duration_ms": 1.0, "code": "invalid_request"})
     found = scraped(metrics)
     assert sample(found, "cazsl_refusals_total", reason="invalid_request") == 1.0
     assert sample(found, "cazsl_requests_total", route="/v1/predict", status="422") == 1.0
@@ -89,7 +93,7 @@ def test_refusals_are_counted_by_reason(metrics: RequestMetrics) -> None:
 def test_versions_that_are_served_no_more_leave_no_series_and_take_no_count_with_them(metrics: RequestMetrics) -> None:
     """A thousand versions in a year leave none behind; requests by route never fall."""
     for version in range(1, 1001):
-        metrics.note("/v1/predict", 200, 0.001, {**ANSWER, "version": version}, [])
+        metrics.note({**LINE, "version": version})
     for _ in range(2):
         found = scraped(metrics)
         versions = {dict(labels).get("version") for name, labels in found if name.endswith("duration_seconds_count")}
