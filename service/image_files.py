@@ -36,6 +36,7 @@ _JPEG_FRAMES = frozenset((0xC0, 0xC1, 0xC2))  # baseline, extended and progressi
 _JPEG_OTHER_FRAMES = frozenset((0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF))
 _JPEG_SCAN, _JPEG_END, _JPEG_EXIF, _JPEG_JFIF, _JPEG_ADOBE = 0xDA, 0xD9, 0xE1, 0xE0, 0xEE
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # in coded data: neither stuffing nor restart
+_PIECE_BYTES: Final = 1 << 16  # of coded data: 20 us of search
 _ORIENTATION_TAG, _SHORT = 0x0112, 3
 
 
@@ -169,11 +170,9 @@ def _walk_jpeg(content: bytes, where: str) -> ImageFile:
             scans += 1
             if scans > MAX_JPEG_SCANS:
                 raise _invalid(where, f"a JPEG of more than {MAX_JPEG_SCANS} scans", "fewer: save it anew")
-            found = _JPEG_MARKER.search(content, end)
-            if found is None:
-                raise _truncated(where)
-            end = found.start()
-            kept.append(content[at:end])
+            coded = _coded_data(content, end, where)
+            kept += [segment, *coded]
+            end += sum(map(len, coded))
         elif marker in _JPEG_TABLES or _colours_jpeg(marker, segment):
             kept.append(segment)
         elif marker == _JPEG_EXIF and segment[4:10] == b"Exif\0\0":
@@ -196,6 +195,18 @@ def _jpeg_segment(content: bytes, at: int, where: str) -> tuple[int, int]:
     if length < 2 or end > len(content):
         raise _truncated(where)
     return marker, end
+
+
+def _coded_data(content: bytes, at: int, where: str) -> list[bytes]:
+    """What stands between here and the next marker, in pieces: a search holds Python's lock until it is through."""
+    pieces: list[bytes] = []
+    for start in range(at, len(content), _PIECE_BYTES):
+        end = start + _PIECE_BYTES
+        found = _JPEG_MARKER.search(content, start, end + 1)  # a marker of two bytes may lie across the end
+        if found is not None:
+            return [*pieces, content[start : found.start()]]
+        pieces.append(content[start:end])
+    raise _truncated(where)
 
 
 def _colours_jpeg(marker: int, segment: bytes) -> bool:

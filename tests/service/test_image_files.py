@@ -17,6 +17,14 @@ from service.images import decode
 from tests.attacks.images import COSTLY_METADATA, HOSTILE, jpeg_with, picture, png_with, webp_canvas
 
 FORMATS = ("PNG", "JPEG", "WEBP")
+PIECE = 1 << 16  # bytes of coded data that are searched at once
+
+
+def coded_jpeg(data: bytes) -> bytes:
+    """The header of a JPEG, this for its coded data, and its end; no picture."""
+    start = picture("JPEG")
+    scan = start.index(b"\xff\xda") + 2
+    return start[: scan + int.from_bytes(start[scan : scan + 2])] + data + b"\xff\xd9"
 
 
 @pytest.mark.parametrize("name", HOSTILE)
@@ -136,6 +144,23 @@ def test_a_rare_but_whole_file_is_read() -> None:
         picture("WEBP", exact=True, lossless=True),
     ):
         assert decode(content).levels.shape == (64, 64)
+
+
+@pytest.mark.parametrize("length", [PIECE - 1, PIECE, PIECE + 1, 2 * PIECE - 1])
+def test_the_end_of_a_jpeg_is_found_wherever_its_data_is_cut_into_pieces(length: int) -> None:
+    """Also where it lies across two of them; half of it is no end, and nothing may follow it."""
+    whole = coded_jpeg(bytes(length))
+    assert read_image_file(whole, ImageLimits(), "image").content == whole
+    for other, fault in ((whole[:-1], "stops before"), (whole + b"\0", "behind the end")):
+        with pytest.raises(InvalidImageError, match=fault):
+            read_image_file(other, ImageLimits(), "image")
+
+
+@pytest.mark.parametrize("inside", [b"\xff\0", b"\xff\xd0"], ids=["stuffing", "restart"])
+def test_what_begins_like_an_end_across_two_pieces_is_none(inside: bytes) -> None:
+    """A byte of data that is 255, and a restart, belong to the picture."""
+    whole = coded_jpeg(bytes(PIECE - 1) + inside + bytes(9))
+    assert read_image_file(whole, ImageLimits(), "image").content == whole
 
 
 def test_a_webp_of_odd_length_is_read() -> None:
