@@ -168,10 +168,11 @@ def quality_flags(context: VisualContext) -> tuple[QualityFlag, ...]:
 
 def thumbnail_png(context: VisualContext) -> bytes:
     """What the model sees as a PNG of 256 x 256, every level a block of 8 x 8 pixels."""
-    image = Image.frombytes("L", (VISUAL_SIZE, VISUAL_SIZE), context.levels)
-    side = VISUAL_SIZE * _THUMBNAIL_SCALE
+    grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
+    blocks = grey.repeat(_THUMBNAIL_SCALE, axis=0).repeat(_THUMBNAIL_SCALE, axis=1)
     buffer = io.BytesIO()
-    image.resize((side, side), Image.Resampling.NEAREST).save(buffer, "PNG")
+    # from an array, which Pillow only looks at: for pixels of its own it would cut a kept block to this size
+    Image.fromarray(blocks).save(buffer, "PNG")
     return buffer.getvalue()
 
 
