@@ -23,7 +23,7 @@ CONNECTIONS = 16
 PACED_CONNECTIONS = 64  # wrk waits in whole milliseconds: with few connections it would fall behind
 # An instance that closes its doors admits nobody new, so whoever knocks then gets no answer: without a short
 # proxy_connect_timeout, nginx waits for the kernel's second try, a second later, before it asks the other instance.
-ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072"}
+ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "4194304"}
 """As in the image: glibc gives back what released models held."""
 ONE_PUSH = Load("/v1/predict", PUSH, {"Content-Type": "application/json"})
 NGINX = """

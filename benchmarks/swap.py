@@ -47,7 +47,7 @@ NEWEST_VERSIONS = 2
 LOADS = 100
 LOWEST_PRIORITY = 19  # whoever moves an alias is not what is measured
 QUIET, ELSEWHERE, SWAPPING = "no swaps", "an alias moves elsewhere", "swapping"
-MALLOC = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "131072"}  # as the image has it
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "4194304"}  # as the image has it
 HISTOGRAM = """
 local report = done
 done = function(summary, latency, requests)
@@ -197,17 +197,18 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latenci
     phases = list(targets.items())
     with server([sys.executable, *OURS], free_port()) as asked:
         ask(asked, script, PATH, CONNECTIONS, 2)
-        before = counted(asked.port)
+        before, held_mib = counted(asked.port), asked.rss_mib()
         for number in tqdm(range(options.rounds), desc="rounds", disable=None):
             for name, target in phases[number % 3 :] + phases[: number % 3]:
                 found[name].append(phase(asked, script, target, swaps, options.every_s))
         time.sleep(1.0)
         served, champion = served_version(asked.port), Registry(folder / "served").aliases(NAME)["champion"]
-        after = counted(asked.port)
+        after, holds_mib = counted(asked.port), asked.rss_mib()
     done = {what: after[what] - before[what] for what in before}
     print(f"\n{options.rounds} rounds of {swaps} swaps, one every {options.every_s:g} s; failed requests: 0; ", end="")
     print(f"the service counted {done['swaps']} swaps and {done['loads']} loads; ", end="")
-    print(f"served at the end: version {served}, the champion: {champion}\n")
+    print(f"served at the end: version {served}, the champion: {champion}; ", end="")
+    print(f"memory before {held_mib:.1f} MiB, after {holds_mib:.1f}\n")
     if served != champion or set(done.values()) != {swaps * options.rounds}:
         raise SystemExit("a swap was missed, or named a version that was loaded already")
     return found

@@ -52,6 +52,7 @@ from service.schemas import (
 from service.uploads import Upload, read_upload
 
 P = TypeVar("P", PredictRequest, BatchRequest)
+T = TypeVar("T")
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
 Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
 
@@ -177,9 +178,9 @@ async def predict_many(request: Request, body: BatchRequest) -> Response:
 )
 async def predict_image(request: Request) -> Response:
     """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
-    upload = await _upload(request)
+    models = snapshot_of(request)
     try:
-        return respond(request, await workers_of(request).run(predict_upload, snapshot_of(request), upload))
+        return respond(request, await _of_upload(request, lambda upload: predict_upload(models, upload)))
     except ValidationError as error:
         found = error.errors(include_url=False)
         raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in found]) from error
@@ -194,8 +195,7 @@ async def predict_image(request: Request) -> Response:
 )
 async def make_context(request: Request) -> VisualContextBody:
     """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
-    upload = await _upload(request)
-    return await workers_of(request).run(describe_image, upload.image)
+    return await _of_upload(request, lambda upload: describe_image(upload.image))
 
 
 @router.get(
@@ -252,10 +252,12 @@ async def ready(request: Request, response: Response) -> ReadyBody:
     return ReadyBody(ready=reason is None, reason=reason, checks=checks, models=served, problems=list(models.problems))
 
 
-async def _upload(request: Request) -> Upload:
+async def _of_upload(request: Request, work: Callable[[Upload], T]) -> T:
+    """What is made of an upload: read and worked on in one go, since each handing over costs the loop time."""
     if "content-encoding" in request.headers:
         raise UnsupportedMediaTypeError(_NO_ENCODING)
-    return await workers_of(request).run(read_upload, request.headers, await request.body())
+    headers, content = request.headers, await request.body()
+    return await workers_of(request).run(lambda: work(read_upload(headers, content)))
 
 
 async def _answer(request: Request, predict: Callable[[Snapshot, P], Answer], body: P) -> Answer:
