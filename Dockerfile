@@ -45,7 +45,8 @@ LABEL org.opencontainers.image.title="cazsl" \
       org.opencontainers.image.base.name="docker.io/library/python:3.11-slim"
 COPY --from=build /image /
 # glibc's own limit for large pieces, held: it raises that by itself once a model was released, and then keeps what is freed.
-# Of small ones up to 4 MiB stay, for the next requests. Pillow then keeps two blocks of up to 16 MiB for the next picture: given back, each costs a page fault per 4 KiB.
+# Of small ones up to 4 MiB stay, for the next requests. Pillow then keeps two blocks of up to 16 MiB for the next picture:
+# given back, each costs a page fault per 4 KiB.
 ENV MALLOC_MMAP_THRESHOLD_=131072 \
     MALLOC_TRIM_THRESHOLD_=4194304 \
     PILLOW_BLOCKS_MAX=2 \
