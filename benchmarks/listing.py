@@ -38,9 +38,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "models"
         shutil.copytree(ROOT / "models", root)
-        for version in range(2, options.versions + 1):
-            shutil.copytree(root / NAME / "1", root / NAME / str(version))
         registry = Registry(root)
+        shipped = registry.versions(NAME)[-1]
+        for version in range(shipped + 1, options.versions + 1):
+            shutil.copytree(root / NAME / str(shipped), root / NAME / str(version))
         print(f"{len(registry.versions(NAME))} versions of one model, warm")
         print(f"list versions and aliases    {median_ms(lambda: registry.state(NAME)):8.2f} ms")
         print(f"one poll without news        {median_ms(registry.fingerprint):8.2f} ms")
