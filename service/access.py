@@ -36,7 +36,7 @@ def readiness_of(request: Request) -> Readiness:
 
 def respond(request: Request, answer: Answer) -> Response:
     """The answer as it is, and what it was made by as a note for the log."""
-    request.state.log = answer.log()
+    request.state.log = answer.notes
     headers = {name.decode(): value.decode() for name, value in answer.headers}
     return Response(answer.content, headers=headers)
 

@@ -1,9 +1,9 @@
 """The short way to a prediction: from bytes to bytes without the web framework's machinery.
 
 It answers what is in order, and nothing else: a request with an unusual header, a fault, or a model that is not there
-goes on to the framework's routes as if this room did not exist, and they say what is wrong. Only what took too long is
-refused here: they would begin it again. The short way validates with the same schemas, asks the same functions and
-holds the same bounds, so a test can demand that both give the same bytes for every request.
+goes on to the framework's routes as if this room did not exist, and they say what is wrong. Only what took too long and
+what is no image are refused here: they would begin it again. The short way validates with the same schemas, asks the
+same functions and holds the same bounds, so a test can demand that both give the same bytes for every request.
 """
 
 import re
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from pydantic import ValidationError
+from starlette.datastructures import Headers as HeadersByName
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.errors import CazslError, DeadlineError
@@ -27,13 +28,16 @@ from service.predictions import (
     Question,
     ask_batch,
     ask_one,
+    describe_upload,
     is_read_quickly,
     predict_batch,
     predict_one,
+    predict_upload,
 )
 from service.problems import problem_response
 from service.requests import PredictRequest, read_batch
 from service.turns import Turns
+from service.uploads import read_upload
 from service.workers import Workers
 
 Headers = Sequence[tuple[bytes, bytes]]
@@ -49,8 +53,9 @@ class Door:
     path: str  # its template; named as the framework's routes name theirs
     parse: Callable[[bytes], Any]
     predict: Callable[[Snapshot, Any], Answer]
-    ask: Callable[[Snapshot, Any], Asked]
+    ask: Callable[[Snapshot, Any], Asked] | None = None  # None of what is all work for a thread
     most_bytes: int = LIGHT_BYTES  # of a body that is read in the event loop
+    json_only: bool = False  # of bodies that are declared otherwise the framework says what they are not
 
     def answer(self, models: Snapshot, content: bytes) -> Answer:
         """All of it in one go, for a thread."""
@@ -60,10 +65,12 @@ class Door:
 DOORS: Final = {
     door.path: door
     for door in (
-        Door(SINGLE, PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one),
-        Door("/v1/predict/batch", read_batch, predict_batch, ask_batch, LIGHT_BATCH_BYTES),
+        Door(SINGLE, PredictRequest.__pydantic_validator__.validate_json, predict_one, ask_one, json_only=True),
+        Door("/v1/predict/batch", read_batch, predict_batch, ask_batch, LIGHT_BATCH_BYTES, json_only=True),
     )
 }
+UPLOADS: Final = {"/v1/predict/image": predict_upload, "/v1/contexts": describe_upload}
+_IN_JSON: Final = frozenset((*DOORS, *UPLOADS))  # whose answers have no other form
 _INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")
 _INFER_ROUTES: Final = ("/v2/models/{name}/infer", "/v2/models/{name}/versions/{version}/infer")
 
@@ -88,14 +95,14 @@ class FastPath:
         content = (await receive())["body"]  # whole: the intake saw to it
         try:
             answer = await self._answer(door, content)
-        except DeadlineError as error:
-            scope["route"] = door
-            await problem_response(scope, error)(scope, receive, send)
+        except (ValidationError, CazslError) as error:
+            if isinstance(error, DeadlineError) or (door.ask is None and isinstance(error, CazslError)):
+                scope["route"] = door
+                await problem_response(scope, error)(scope, receive, send)
+            else:
+                await self._app(scope, WholeBody(content, receive), send)
             return
-        except (ValidationError, CazslError):
-            await self._app(scope, WholeBody(content, receive), send)
-            return
-        scope["state"]["log"] = answer.log() | {"route": door.path}
+        scope["state"]["log"] = {**answer.notes, "route": door.path}
         await send({"type": "http.response.start", "status": 200, "headers": answer.head()})
         await send({"type": "http.response.body", "body": answer.content})
 
@@ -114,7 +121,7 @@ class FastPath:
 
     async def _answer(self, door: Door, content: bytes) -> Answer:
         models = self._models.snapshot
-        if len(content) > door.most_bytes:
+        if door.ask is None or len(content) > door.most_bytes:
             return await self._workers.run(door.answer, models, content)
         request = door.parse(content)
         if not is_read_quickly(request):
@@ -129,28 +136,19 @@ class FastPath:
 
     def _door(self, path: str, headers: Headers) -> Door | None:
         """The way in for this path, when the headers ask for nothing that needs a second look."""
-        door = DOORS.get(path)
-        asked = _INFER_PATH.fullmatch(path) if door is None else None
-        if door is None and asked is None:
+        door = DOORS.get(path) or _other_door(path, headers)
+        if door is None:
             return None
-        declared = door is None  # /v2 reads bytes, however they are declared
-        authorization = header_length = None
+        declared, any_accept = not door.json_only, path not in _IN_JSON
+        authorization = None
         for name, value in headers:
             if name == b"content-type":
                 declared = declared or value == b"application/json"
             elif name == b"authorization":
                 authorization = value
-            elif name == LENGTH_HEADER.encode():
-                header_length = value.decode("latin-1")
-            elif name == b"content-encoding" or (name == b"accept" and door and value not in _PLAIN_ACCEPT):
+            elif name == b"content-encoding" or (name == b"accept" and not any_accept and value not in _PLAIN_ACCEPT):
                 return None
-        if not declared or not self._admits(authorization):
-            return None
-        if asked is None:
-            return door
-        model, version = asked["model"], asked["version"]
-        route = _INFER_ROUTES[version is not None]
-        return Door(route, lambda content: InferRequest(model, version, header_length, content), infer, ask_inference)
+        return door if declared and self._admits(authorization) else None
 
     def _admits(self, authorization: bytes | None) -> bool:
         try:
@@ -158,3 +156,16 @@ class FastPath:
         except CazslError:
             return False
         return True
+
+
+def _other_door(path: str, headers: Headers) -> Door | None:
+    """The way in for an upload, or for tensors: how their bodies are read, other headers say."""
+    if path in UPLOADS:
+        return Door(path, lambda content: read_upload(HeadersByName(raw=list(headers)), content), UPLOADS[path])
+    asked = _INFER_PATH.fullmatch(path)
+    if asked is None:
+        return None
+    model, version = asked["model"], asked["version"]
+    length = next((value.decode("latin-1") for name, value in headers if name == LENGTH_HEADER.encode()), None)
+    route = _INFER_ROUTES[version is not None]
+    return Door(route, lambda content: InferRequest(model, version, length, content), infer, ask_inference)

@@ -19,8 +19,7 @@ from service.catalogue import model_body, models_body, version_body
 from service.errors import CazslError, MalformedBodyError, ModelNotReadyError
 from service.loaded_models import LoadedModels, Snapshot
 from service.location import open_registry, trusted_keys
-from service.object_bodies import describe_image
-from service.predictions import predict_batch, predict_one, predict_upload
+from service.predictions import describe_upload, predict_batch, predict_one, predict_upload
 from service.predictor import OnnxPredictor
 from service.problems import invalid_request, problem_body
 from service.requests import BatchRequest, PredictRequest
@@ -94,7 +93,7 @@ class InProcess(httpx2.BaseTransport, httpx2.AsyncBaseTransport):
         return predict_upload(self._models, _upload(request)).content
 
     def _make_context(self, request: httpx2.Request) -> bytes:
-        return describe_image(_upload(request).image).model_dump_json().encode()
+        return describe_upload(self._models, _upload(request)).content
 
 
 def _read(kind: type[P], request: httpx2.Request) -> P:

@@ -98,7 +98,7 @@ class Inference(Asked):
         outputs = {output: given[output] for output in self.wanted}
         binary = frozenset(output for output, is_binary in self.wanted.items() if is_binary)
         content, headers = render(document, outputs, binary)
-        return Answer(content, name, version, len(self.pushers), headers)
+        return Answer(content, self.notes(), headers)
 
 
 def infer(models: Snapshot, request: InferRequest) -> Answer:

@@ -5,7 +5,7 @@ object frame are written as float32 needs them and no longer; those of the world
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -18,7 +18,7 @@ from service.errors import FieldFault, InvalidRequestError
 from service.frames import DoubleArray, into_world_frame
 from service.images import decode, visual_context
 from service.loaded_models import FIRST_OBJECT, LoadedModel, Snapshot
-from service.object_bodies import ContextBody
+from service.object_bodies import ContextBody, describe_image
 from service.requests import BatchRequest, Prediction, PredictRequest
 from service.uploads import Upload
 
@@ -35,18 +35,12 @@ class Answer:
     """The bytes of an answer, how they are declared, and what the log says of it."""
 
     content: bytes
-    model: str
-    version: int
-    pushes: int
+    notes: Mapping[str, str | int]
     headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
 
     def head(self) -> tuple[tuple[bytes, bytes], ...]:
         """All headers, in the framework's order."""
         return (*self.headers, (b"content-length", b"%d" % len(self.content)))
-
-    def log(self) -> dict[str, str | int]:
-        """Fields for the request's line in the log."""
-        return {"model": self.model, "version": self.version, "pushes": self.pushes}
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +80,11 @@ class Asked(ABC):
         objects = self.objects
         return self.model.predict(self.pushers, objects.kind, objects.tensor, objects.places)
 
+    def notes(self) -> dict[str, str | int]:
+        """What the log says of the answer."""
+        manifest = self.model.manifest
+        return {"model": manifest.name, "version": manifest.version, "pushes": len(self.pushers)}
+
     @abstractmethod
     def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
         """The answer that this mean and std (n, 3) make."""
@@ -109,7 +108,7 @@ class Question(Asked):
             turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), self.frames)
             spread = np.ascontiguousarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
             document |= {"frame": "world", **self.render(turned, spread, covariance)}
-        return Answer(orjson.dumps(document, option=_JSON), name, version, len(self.pushers))
+        return Answer(orjson.dumps(document, option=_JSON), self.notes())
 
 
 def ask_one(models: Snapshot, request: PredictRequest) -> Question:
@@ -170,19 +169,29 @@ def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
 def predict_upload(models: Snapshot, upload: Upload) -> Answer:
     """Answer one push (field ``pusher``) or many (``pushers``) of the object in an image; blocking: it decodes.
 
+    The fields are looked at first: they cost less than the image.
+
     Raises:
         ValidationError: a field is not what the schemas say.
         RequestError, ModelNotReadyError, PredictionError: as ``predict_one`` and ``images.decode``.
     """
-    tensor = visual_context(decode(upload.image)).tensor()[None]
     if "pushers" not in upload.fields:
         request = PredictRequest.model_validate(upload.fields)
-        objects = Objects(ContextKind.VISUAL, tensor, FIRST_OBJECT)
+        objects = _seen(upload.image, FIRST_OBJECT)
         return _one_push(_model(models, request, objects.kind), request, objects).answer()
     batch = BatchRequest.model_validate(upload.fields)
-    objects = Objects(ContextKind.VISUAL, tensor, np.zeros(len(batch.pushers), dtype=np.int64))
+    objects = _seen(upload.image, np.zeros(len(batch.pushers), dtype=np.int64))
     model, pushers = _model(models, batch, objects.kind), batch.pusher_poses().astype(np.float32)
     return Question(model, pushers, objects, batch.objects(), _columns).answer()
+
+
+def describe_upload(_models: Snapshot, upload: Upload) -> Answer:
+    """Say what a model sees of an image; blocking: it decodes.
+
+    Raises:
+        RequestError: as ``images.decode``.
+    """
+    return Answer(describe_image(upload.image).model_dump_json().encode(), {})
 
 
 def is_light(request: PredictRequest | BatchRequest) -> bool:
@@ -200,6 +209,10 @@ def is_read_quickly(request: object) -> bool:
 
 def _object(request: PredictRequest) -> Objects:
     return NO_OBJECT if request.context is None else Objects(*_encoded(request.context, "body.context"), FIRST_OBJECT)
+
+
+def _seen(image: bytes, places: IndexArray) -> Objects:
+    return Objects(ContextKind.VISUAL, visual_context(decode(image)).tensor()[None], places)
 
 
 def _one_push(model: LoadedModel, request: PredictRequest, objects: Objects) -> Question:

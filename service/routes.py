@@ -34,8 +34,7 @@ from service.errors import (
 )
 from service.examples import problems
 from service.loaded_models import Snapshot
-from service.object_bodies import describe_image
-from service.predictions import Answer, is_light, predict_batch, predict_one, predict_upload
+from service.predictions import Answer, describe_upload, is_light, predict_batch, predict_one, predict_upload
 from service.requests import BatchRequest, PredictRequest
 from service.schemas import (
     BatchResponse,
@@ -52,7 +51,6 @@ from service.schemas import (
 from service.uploads import Upload, read_upload
 
 P = TypeVar("P", PredictRequest, BatchRequest)
-T = TypeVar("T")
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
 Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
 
@@ -178,9 +176,8 @@ async def predict_many(request: Request, body: BatchRequest) -> Response:
 )
 async def predict_image(request: Request) -> Response:
     """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
-    models = snapshot_of(request)
     try:
-        return respond(request, await _of_upload(request, lambda upload: predict_upload(models, upload)))
+        return respond(request, await _of_upload(request, predict_upload))
     except ValidationError as error:
         found = error.errors(include_url=False)
         raise RequestValidationError([{**fault, "loc": ("body", *fault["loc"])} for fault in found]) from error
@@ -190,12 +187,13 @@ async def predict_image(request: Request) -> Response:
     "/v1/contexts",
     tags=["predict"],
     summary="What does a model see of this image?",
+    response_model=VisualContextBody,
     responses=problems(ProblemBody, *_UPLOADED),
     openapi_extra=IMAGE_UPLOAD,
 )
-async def make_context(request: Request) -> VisualContextBody:
+async def make_context(request: Request) -> Response:
     """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
-    return await _of_upload(request, lambda upload: describe_image(upload.image))
+    return respond(request, await _of_upload(request, describe_upload))
 
 
 @router.get(
@@ -252,12 +250,12 @@ async def ready(request: Request, response: Response) -> ReadyBody:
     return ReadyBody(ready=reason is None, reason=reason, checks=checks, models=served, problems=list(models.problems))
 
 
-async def _of_upload(request: Request, work: Callable[[Upload], T]) -> T:
+async def _of_upload(request: Request, answer: Callable[[Snapshot, Upload], Answer]) -> Answer:
     """What is made of an upload: read and worked on in one go, since each handing over costs the loop time."""
     if "content-encoding" in request.headers:
         raise UnsupportedMediaTypeError(_NO_ENCODING)
-    headers, content = request.headers, await request.body()
-    return await workers_of(request).run(lambda: work(read_upload(headers, content)))
+    models, headers, content = snapshot_of(request), request.headers, await request.body()
+    return await workers_of(request).run(lambda: answer(models, read_upload(headers, content)))
 
 
 async def _answer(request: Request, predict: Callable[[Snapshot, P], Answer], body: P) -> Answer:

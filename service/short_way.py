@@ -89,6 +89,6 @@ class ShortWay:
         answer = question.answered(mean, std)
         scope = request.scope
         request_id = self._telemetry.begin(scope)
-        scope["state"]["log"] = answer.log() | {"route": SINGLE}
+        scope["state"]["log"] = {**answer.notes, "route": SINGLE}
         reply((*answer.head(), (b"x-request-id", request_id.encode())), answer.content)
         self._telemetry.note(scope, _OK, time.perf_counter() - request.began_s, [("inference", seconds)])

@@ -102,6 +102,7 @@ SERVICE: dict[str, set[str]] = {
         "problems",
         "requests",
         "turns",
+        "uploads",
         "workers",
     },
     "app": {

@@ -1,5 +1,6 @@
 """The short way gives the bytes that the long way gives, and leaves everything unusual to it."""
 
+import base64
 import gzip
 import json
 from collections.abc import Iterator
@@ -20,6 +21,7 @@ from service.intake import Intake, IntakeLimits
 from service.keys import Keys
 from service.loaded_models import LoadedModels
 from service.metrics import RequestMetrics
+from service.object_bodies import IMAGE_EXAMPLE
 from service.registry import Registry
 from service.settings import Settings
 from service.telemetry import RequestLog, RequestTelemetry
@@ -152,6 +154,66 @@ def test_a_long_inference_gets_the_same_bytes_both_ways(client: TestClient) -> N
     assert (short.content, dict(short.headers)) == (long.content, dict(long.headers))
 
 
+IMAGE = base64.b64decode(IMAGE_EXAMPLE)
+PNG = {"Content-Type": "image/png"}
+FORM = {"Content-Type": "multipart/form-data; boundary=x"}
+
+
+def form(image: bytes = IMAGE, **fields: object) -> bytes:
+    """The body of a form with an image."""
+    parts = [b'Content-Disposition: form-data; name="image"; filename="v"\r\n\r\n' + image]
+    for name, value in fields.items():
+        text = value if isinstance(value, str) else json.dumps(value)
+        parts.append(f'Content-Disposition: form-data; name="{name}"\r\n\r\n{text}'.encode())
+    return b"".join(b"--x\r\n" + part + b"\r\n" for part in parts) + b"--x--\r\n"
+
+
+UPLOADED: dict[str, tuple[str, dict[str, str], bytes, int]] = {
+    "an image": ("/v1/contexts", PNG, IMAGE, 200),
+    "an image in a form": ("/v1/contexts", FORM, form(), 200),
+    "a push": ("/v1/predict/image", FORM, form(pusher=PUSHER), 200),
+    "pushes in the world": (
+        "/v1/predict/image",
+        FORM,
+        form(pushers=[[0, 0, 0], [0.1, 0, 0]], object_poses=[[0.1, 0.2, 3]] * 2),
+        200,
+    ),
+    "no pusher": ("/v1/predict/image", PNG, IMAGE, 422),
+    "a push out of reach": ("/v1/predict/image", FORM, form(pusher=PUSHER | {"x": 9}), 422),
+    "an unknown model": (
+        "/v1/predict/image",
+        FORM,
+        form(pusher=PUSHER, model="nobody"),
+        404,
+    ),
+    "half an image": ("/v1/contexts", PNG, IMAGE[:60], 422),
+    "half an image in a form": ("/v1/predict/image", FORM, form(IMAGE[:60], pusher=PUSHER), 422),
+    "no image": ("/v1/contexts", PNG, b"", 415),
+    "no form": ("/v1/contexts", FORM, b"--y", 400),
+    "another field": ("/v1/contexts", FORM, form(colour="red"), 422),
+    "another type": ("/v1/contexts", PLAIN, b"{}", 415),
+}
+
+
+@pytest.mark.parametrize("name", UPLOADED)
+def test_an_upload_gets_the_same_bytes_both_ways(client: TestClient, name: str) -> None:
+    """Answers and refusals alike, headers too."""
+    path, kind, content, status = UPLOADED[name]
+    short, long = (
+        client.post(path, content=content, headers={**kind, "X-Request-ID": "the-same", "Accept": accept})
+        for accept in ("application/json", "application/json;q=1")  # means the same, and is worth a second look
+    )
+    assert short.status_code == status, short.text
+    assert (short.content, dict(short.headers)) == (long.content, dict(long.headers))
+
+
+@pytest.mark.parametrize("name", ["an image", "an image in a form", "a push", "pushes in the world", "half an image"])
+def test_an_upload_needs_no_framework(short_only: TestClient, name: str) -> None:
+    """Nor does an image that is none: it would be decoded twice."""
+    path, kind, content, status = UPLOADED[name]
+    assert short_only.post(path, content=content, headers=kind).status_code == status
+
+
 BODY = json.dumps({"pusher": PUSHER}).encode()
 
 
@@ -179,6 +241,8 @@ UNUSUAL: dict[str, tuple[str, dict[str, str], bytes]] = {
     "no JSON": ("/v1/predict", PLAIN, b"{"),
     "an unknown model": ("/v1/predict", PLAIN, BODY.replace(b"}}", b'}, "model": "nobody"}')),
     "an unknown version": ("/v2/models/push-none/versions/7/infer", PLAIN, b"{}"),
+    "an upload that asks for another answer": ("/v1/contexts", PNG | {"Accept": "image/png"}, IMAGE),
+    "an upload without its push": ("/v1/predict/image", PNG, IMAGE),
     "no version": ("/v2/models/push-none/versions/x/infer", PLAIN, b"{}"),
 }
 

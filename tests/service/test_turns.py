@@ -71,7 +71,7 @@ def test_models_and_kinds_of_object_have_a_call_each(models: Snapshot) -> None:
 
     answers = gathered(models, requests)
 
-    assert [answer.model for answer in answers if isinstance(answer, Answer)] == [
+    assert [answer.notes["model"] for answer in answers if isinstance(answer, Answer)] == [
         "push-none",
         "push-indicator",
         "push-visual",
