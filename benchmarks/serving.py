@@ -1,6 +1,6 @@
 """What our service gives beside others: single pushes, batches, pushes while images are decoded, start and memory.
 
-    python -m benchmarks.serving [--rounds 7] [--seconds 2] [--peer litserve=PYTHON] [--peer mlserver=PYTHON] ...
+    python -m benchmarks.serving [--rounds 7] [--seconds 2] [--part images] [--peer litserve=PYTHON] ...
 
 All servers run at once on loopback, one process each (whatever that process starts is counted with it), and are asked
 in turn, round by round, with wrk: a machine whose speed drifts, drifts for all. Printed are medians over the rounds,
@@ -31,6 +31,7 @@ from service.predictor import OnnxPredictor
 
 ROWS = 1000
 CONNECTIONS = 16
+PARTS = ("singles", "batches", "images", "start")
 
 
 def median(runs: list[Figures], field: str) -> float:
@@ -140,9 +141,15 @@ def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None
         time.sleep(0.5)
         runs["while images are decoded"].append(ask(ours, push, "/v1/predict", 1, seconds))
         uploading.wait()
-    print("\n## Single pushes while images are decoded, 1 connection\n\n| | p50 (ms) | p99 (ms) |\n|---|---|---|")
+    print("\n## Single pushes while images are decoded, 1 connection\n")
+    print("| | p50 (ms) | p99 (ms) | of the rounds |\n|---|---|---|---|")
     for name, figures in runs.items():
-        print(f"| {name} | {median(figures, 'p50_us') / 1e3:.2f} | {median(figures, 'p99_us') / 1e3:.2f} |")
+        tails = sorted(run.p99_us / 1e3 for run in figures)
+        p50, p99 = median(figures, "p50_us") / 1e3, statistics.median(tails)
+        print(f"| {name} | {p50:.2f} | {p99:.2f} | {tails[0]:.2f} to {tails[-1]:.2f} |")
+    idle, busy = (median(figures, "p99_us") for figures in runs.values())
+    each = statistics.median(one.p99_us / other.p99_us for other, one in zip(*runs.values(), strict=True))
+    print(f"\np99 {busy / idle:.2f} times the idle one; median over the rounds {each:.2f}")
 
 
 def start(rounds: int) -> None:
@@ -166,7 +173,9 @@ def main() -> None:
     parser.add_argument("--seconds", type=int, default=2, help="length of one run of wrk")
     parser.add_argument("--rounds", type=int, default=7, help="runs of each")
     parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON", help=f"one of {', '.join(known)}")
+    parser.add_argument("--part", choices=PARTS, action="append", help="measure only this; may be repeated")
     options = parser.parse_args()
+    parts = options.part or PARTS
     if shutil.which("wrk") is None:
         raise SystemExit("wrk is not installed; apt-get install wrk")
     commands = {
@@ -183,14 +192,20 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
         folder, servers = Path(temporary), {}
         for name, command in commands.items():
+            if name != "ours" and "singles" not in parts:
+                continue
             port = free_port()
             own = command if name == "ours" else [*command, str(port)]
             servers[name] = stack.enter_context(server(own, port))
         print(f"{options.rounds} rounds of {options.seconds} s, {os.cpu_count()} processors, medians; asked by wrk.")
-        single_pushes(servers, folder, options.rounds, options.seconds)
-        batches(servers["ours"], folder, options.rounds, options.seconds)
-        during_images(servers["ours"], folder, options.rounds, options.seconds)
-    start(options.rounds)
+        if "singles" in parts:
+            single_pushes(servers, folder, options.rounds, options.seconds)
+        if "batches" in parts:
+            batches(servers["ours"], folder, options.rounds, options.seconds)
+        if "images" in parts:
+            during_images(servers["ours"], folder, options.rounds, options.seconds)
+    if "start" in parts:
+        start(options.rounds)
 
 
 if __name__ == "__main__":

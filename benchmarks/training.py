@@ -1,12 +1,13 @@
 """How fast a training epoch is, beside a literal implementation of the published loop, and whether it learns as well.
 
-    python -m benchmarks.training [--epochs 200] [--data data/simulated/abs]
+    python -m benchmarks.training [--epochs 100] [--data data/simulated/abs]
 
 FCN + CM with the indicator context, at the paper's configuration: 200 objects x 250 pushes, 64 objects a batch, Adam at
-0.002. The literal loop repeats each context for each of its 250 pushes and masks every push, takes its batches from a
-data loader, and passes over the 50 test objects after each epoch; it runs in a process of its own, since the trainer's
-allocator settings are a process's. Loops take turns, epoch by epoch, so that they share whatever else the machine does,
-and each is measured on the test objects after the same epochs: the mean over the last ten, since single ones scatter.
+0.002. The literal loop (``literal_loop``) has its data loaders in its own process or, as published, 32 processes for
+each. Ours has all cores for one run, or one for each of several, as ``cazsl-train reproduce`` does: then an epoch of
+all of them counts as one epoch of each. Every run has a process of its own. Loops take turns, epoch by epoch, so that
+they share whatever else the machine does, and each is measured on the test objects after the same epochs: the mean over
+the last ten, since single ones scatter.
 
     python -m benchmarks.training --methods [--epochs 20]
 
@@ -14,24 +15,23 @@ The time of an epoch of every method and context, by turns, on pushes that are r
 """
 
 import argparse
-import math
 import multiprocessing
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any, Final, Protocol
 
 import torch
-from torch import Tensor, nn
-from torch.utils.data import DataLoader, TensorDataset
 
+from benchmarks.literal_loop import PUBLISHED_WORKERS, LiteralEpochs
 from service.contract import ContextKind
 from training.data import read_folder
-from training.evaluate import evaluate, measure
+from training.evaluate import Evaluation, evaluate
 from training.fit import Network, build_network, keep_freed_memory, product_dtype, train_epoch
-from training.losses import gaussian_nll
 from training.methods import METHODS
 from training.networks import PUSH_SHAPES
 from training.published import different_objects
@@ -39,73 +39,94 @@ from training.recipes import Recipe
 from training.samples import Samples, TrainingData
 
 OBJECTS, PUSHES, BATCH = 200, 250, 64
-MEASURED_EPOCHS = 10
-RECIPE = Recipe("push", "FCN + CM", "indicator", "different-objects", 1, BATCH, 0.002, 0, 0.01, 10.0, "auto", 0)
+MEASURED_EPOCHS: Final = 10
+PRECISIONS: Final = ("float32", "bfloat16")
+LITERAL: Final = "literal"
+RECIPE: Final = Recipe("push", "FCN + CM", "indicator", "different-objects", 1, BATCH, 0.002, 0, 0.01, 10.0, "auto", 0)
 
 
-class LiteralNetwork(nn.Module):
-    """FCN + CM with one row of context per push, as the equations are written."""
+class Epochs(Protocol):
+    """A training loop, an epoch at a time."""
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.first, self.mask = nn.Linear(3, 256), nn.Linear(36, 256)
-        self.second, self.third, self.last = nn.Linear(256, 256), nn.Linear(256, 256), nn.Linear(256, 6)
+    def step(self) -> None:
+        """Train an epoch."""
+        ...
 
-    def forward(self, pusher: Tensor, context: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log std (n, 3) of pushes (n, 3) with contexts (n, 36)."""
-        hidden = torch.relu(self.first(pusher)) * torch.relu(self.mask(context))
-        hidden = torch.relu(self.third(torch.relu(self.second(hidden))))
-        mean, log_std = self.last(hidden).chunk(2, dim=-1)
-        return mean, log_std
+    def figures(self) -> Evaluation:
+        """What it has learnt."""
+        ...
 
 
-def literal_epochs(data: TrainingData) -> Iterator[tuple[float, float]]:
-    """Train an epoch with each step, test pass included; held-out RMSE and NLL."""
-    torch.manual_seed(0)
-    network = LiteralNetwork()
-    adam = torch.optim.Adam(network.parameters(), lr=RECIPE.learning_rate)
-    loaders = [
-        DataLoader(
-            TensorDataset(samples.inputs, samples.targets, samples.valid, samples.context), BATCH, shuffle=shuffle
-        )
-        for samples, shuffle in ((data.train, True), (data.held_out, False))
-    ]
-    while True:
-        for pusher, target, valid, context in loaders[0]:
-            mean, log_std = network(pusher.reshape(-1, 3), _repeated(context, pusher.shape[1]))
-            adam.zero_grad()
-            shape = pusher.shape
-            torch.autograd.backward(gaussian_nll(mean.reshape(shape), log_std.reshape(shape), target, valid))
-            adam.step()
-        found: list[list[Tensor]] = [[], [], []]
-        with torch.no_grad():
-            for pusher, target, valid, context in loaders[1]:
-                mean, log_std = network(pusher.reshape(-1, 3), _repeated(context, pusher.shape[1]))
-                for kept, values in zip(found, (mean, log_std, target.reshape(-1, 3)), strict=True):
-                    kept.append(values[valid.reshape(-1) > 0])
-        mean_array, log_std_array, target_array = (torch.cat(kept).numpy() for kept in found)
-        figures = measure(mean_array, log_std_array, target_array, data.held_out.target_std)
-        yield figures.rmse, figures.nll
-
-
-def _repeated(context: Tensor, pushes: int) -> Tensor:
-    return context[:, None, :].repeat(1, pushes, 1).reshape(-1, context.shape[-1])
+Make = Callable[[TrainingData], Epochs]
 
 
 class OurEpochs:
-    """The trainer's own epochs of one recipe."""
+    """The trainer's own epochs of one recipe, on so many threads."""
 
-    def __init__(self, recipe: Recipe, train: Samples) -> None:
-        torch.manual_seed(0)
-        self.recipe, self.train, self.done = recipe, train, 0
-        self.network: Network = build_network(recipe, train.shape)
+    def __init__(self, recipe: Recipe, threads: int, data: TrainingData) -> None:
+        torch.set_num_threads(threads)
+        keep_freed_memory()
+        torch.manual_seed(recipe.seed)
+        self.recipe, self.data, self.done = recipe, data, 0
+        self.network: Network = build_network(recipe, data.train.shape)
         self.adam = torch.optim.Adam(self.network.parameters(), lr=recipe.learning_rate, fused=True)
         self.dtype = product_dtype(recipe.precision, torch.device("cpu"))
 
     def step(self) -> None:
         """Train an epoch."""
-        train_epoch(self.network, self.adam, self.train, self.recipe, self.done, self.dtype)
+        train_epoch(self.network, self.adam, self.data.train, self.recipe, self.done, self.dtype)
         self.done += 1
+
+    def figures(self) -> Evaluation:
+        """Of the test objects."""
+        return evaluate(self.network, self.data.held_out)
+
+
+class Elsewhere:
+    """Loops in processes of their own, which train an epoch of each at once."""
+
+    def __init__(self, folder: Path, loops: Sequence[Make]) -> None:
+        spawn = multiprocessing.get_context("spawn")
+        self.lines: list[Connection] = []
+        self.processes = []
+        for loop in loops:
+            ours, theirs = spawn.Pipe()
+            # not daemons, which may have no processes of their own: data loaders do
+            process = spawn.Process(target=serve, args=(loop, folder, theirs))
+            process.start()
+            self.lines.append(ours)
+            self.processes.append(process)
+        for line in self.lines:
+            line.recv()  # it has read the data
+
+    def step(self) -> None:
+        """Train an epoch of each."""
+        self._ask("step")
+
+    def figures(self) -> list[Evaluation]:
+        """What they have learnt."""
+        return self._ask("figures")
+
+    def close(self) -> None:
+        """Let them end."""
+        for line in self.lines:
+            line.send("end")
+        for process in self.processes:
+            process.join()
+
+    def _ask(self, word: str) -> list[Any]:
+        for line in self.lines:
+            line.send(word)
+        return [line.recv() for line in self.lines]
+
+
+def serve(make: Make, folder: Path, line: Connection) -> None:
+    """Do what the line says, until it says to end."""
+    loop = make(TrainingData.of(different_objects(), ContextKind.INDICATOR, read_folder(folder)))
+    answers: dict[str, Callable[[], Evaluation | None]] = {"step": loop.step, "figures": loop.figures}
+    line.send(None)
+    for word in iter(line.recv, "end"):
+        line.send(answers[word]())
 
 
 def take_turns(
@@ -122,69 +143,44 @@ def take_turns(
     return {name: times[1:] for name, times in seconds.items()}
 
 
-class LiteralEpochs:
-    """The literal loop in a process of its own, which trains an epoch whenever it is asked to."""
-
-    def __init__(self, folder: Path) -> None:
-        spawn = multiprocessing.get_context("spawn")
-        self.line, theirs = spawn.Pipe()
-        self.process = spawn.Process(target=serve_literal, args=(folder, theirs), daemon=True)
-        self.process.start()
-        self.figures: tuple[float, float] = self.line.recv()
-
-    def step(self) -> None:
-        """Train an epoch."""
-        self.line.send(True)
-        self.figures = self.line.recv()
-
-    def close(self) -> None:
-        """Let it end."""
-        self.line.send(False)
-        self.process.join()
-
-
-def serve_literal(folder: Path, line: Connection) -> None:
-    """Train an epoch of the literal loop for each true word on the line; answer with its held-out figures."""
-    epochs = literal_epochs(TrainingData.of(different_objects(), ContextKind.INDICATOR, read_folder(folder)))
-    line.send((math.nan, math.nan))  # the data are read
-    while line.recv():
-        line.send(next(epochs))
-
-
-def compare(folder: Path, data: TrainingData, epochs: int) -> None:
+def compare(folder: Path, epochs: int) -> None:
     """Ours against the literal loop: time and held-out figures."""
-    keep_freed_memory()
-    literal = LiteralEpochs(folder)
-    ours = {
-        f"ours, {precision}": OurEpochs(replace(RECIPE, precision=precision), data.train)
-        for precision in ("float32", "bfloat16")
+    cores = torch.get_num_threads()
+    alone = {precision: partial(OurEpochs, replace(RECIPE, precision=precision), cores) for precision in PRECISIONS}
+    each = [partial(OurEpochs, replace(RECIPE, seed=seed), 1) for seed in range(cores)]
+    loops: dict[str, Sequence[Make]] = {
+        LITERAL: [partial(LiteralEpochs, RECIPE, 0)],
+        f"{LITERAL}, {PUBLISHED_WORKERS} processes load": [partial(LiteralEpochs, RECIPE, PUBLISHED_WORKERS)],
+        **{f"ours, one run, {precision}": [loop] for precision, loop in alone.items()},
+        f"ours, {cores} runs at once, {_default()}": each,
     }
-    figures: dict[str, list[tuple[float, float]]] = {name: [] for name in ("literal", *ours)}
+    places = {name: Elsewhere(folder, made) for name, made in loops.items()}
+    figures: dict[str, list[Evaluation]] = {name: [] for name in places}
 
     def look(epoch: int) -> None:
-        """Measure the last epochs."""
+        """Measure the last epochs; of several runs, the one with the seed of the others."""
         if epoch >= epochs - MEASURED_EPOCHS:
-            figures["literal"].append(literal.figures)
-            for name, loop in ours.items():
-                found = evaluate(loop.network, data.held_out)
-                figures[name].append((found.rmse, found.nll))
+            for name, place in places.items():
+                figures[name].append(place.figures()[0])
 
-    steps = {"literal": literal.step, **{name: loop.step for name, loop in ours.items()}}
-    seconds = take_turns(steps, epochs, look)
-    literal.close()
-    slow = statistics.median(seconds["literal"])
+    seconds = take_turns({name: place.step for name, place in places.items()}, epochs, look)
+    for place in places.values():
+        place.close()
+    of_one = {name: [time / len(loops[name]) for time in times] for name, times in seconds.items()}
+    slow = statistics.median(of_one[LITERAL])
     print(f"FCN + CM, indicator, {epochs} epochs of each, by turns; this machine's default: {_default()}")
     print("| loop | median s/epoch | fastest | times faster | held-out RMSE | NLL |")
     print("|---|---|---|---|---|---|")
-    for name, times in seconds.items():
+    for name, times in of_one.items():
         median = statistics.median(times)
-        rmse, nll = (statistics.fmean(values) for values in zip(*figures[name], strict=True))
+        rmse = statistics.fmean(found.rmse for found in figures[name])
+        nll = statistics.fmean(found.nll for found in figures[name])
         print(f"| {name} | {median:.3f} | {min(times):.3f} | {slow / median:.1f} | {rmse:.3f} | {nll:.2f} |")
 
 
 def compare_methods(epochs: int) -> None:
     """The time of an epoch of every method with every context."""
-    keep_freed_memory()
+    cores = torch.get_num_threads()
     torch.manual_seed(0)
     inputs, targets = torch.randn(2, OBJECTS, PUSHES, 3)
     loops: dict[str, Callable[[], object]] = {}
@@ -193,7 +189,7 @@ def compare_methods(epochs: int) -> None:
             context = (torch.rand(OBJECTS, *PUSH_SHAPES[kind].context) < 0.25).float()
             train = Samples(inputs, targets, torch.ones(OBJECTS, PUSHES), context, (1.0, 1.0, 1.0))
             recipe = replace(RECIPE, method=method.name, context=str(kind))
-            loops[f"{method.name} | {kind}"] = OurEpochs(recipe, train).step
+            loops[f"{method.name} | {kind}"] = OurEpochs(recipe, cores, TrainingData(train, train, {})).step
     seconds = take_turns(loops, epochs)
     print(f"{epochs} epochs of each, by turns, in {_default()}")
     print("| method | context | median s/epoch | fastest | 3000 epochs (min) |")
@@ -218,10 +214,8 @@ def main() -> None:
     if options.methods:
         compare_methods(options.epochs)
         return
-    pushes = read_folder(options.data)
-    data = TrainingData.of(different_objects(), ContextKind.INDICATOR, pushes)
-    print(pushes.source)
-    compare(options.data, data, options.epochs)
+    print(read_folder(options.data).source)
+    compare(options.data, options.epochs)
 
 
 if __name__ == "__main__":
