@@ -1,7 +1,7 @@
 """The training loop: Siamese halves of a batch of objects, Adam, a record of every epoch.
 
 A run folder holds ``config.json`` (recipe, data, code version), ``metrics.jsonl`` (a line per epoch), ``checkpoint.pt``
-(while running) and at the end ``cost.json`` (seconds, device) and ``weights.safetensors``. Batches, and all else that
+(while running) and at the end ``cost.json`` (``Spent``, device) and ``weights.safetensors``. Batches, and all else that
 is random, depend on the seed and the epoch's number alone, so a run that was killed continues from its last checkpoint
 as one that was not: to the same weights, on any number of threads (see ``shards``; a neural process on one only).
 """
@@ -13,7 +13,7 @@ import sys
 import time
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -43,6 +43,22 @@ HELD_OUT_EVERY_EPOCHS: Final = 25
 Network = PushNetwork | NeuralProcess
 
 
+class Spent(NamedTuple):
+    """What a run took, over all its sittings."""
+
+    seconds: float  # by the clock, pauses and whatever else had the machine included
+    processor_s: float  # of all threads of the process
+
+    @classmethod
+    def now(cls) -> "Spent":
+        """Readings that only differences of mean something."""
+        return cls(time.monotonic(), time.process_time())
+
+    def since(self, started: "Spent", before: "Spent") -> "Spent":
+        """What passed from ``started`` to this, on top of what came before."""
+        return Spent(*(old + new - at for old, new, at in zip(before, self, started, strict=True)))
+
+
 def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, bar: int = 0) -> Network:
     """Train what the recipe says, or continue where the run folder stopped; the weights of the last epoch.
 
@@ -60,10 +76,10 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
     network = build_network(recipe, train.shape).to(device)
     adam = torch.optim.Adam(network.parameters(), lr=recipe.learning_rate, fused=True)
     _open_run(folder, recipe, data)
-    first_epoch, seconds = _resume(folder, network, adam)
+    first_epoch, before = _resume(folder, network, adam)
 
-    rmse, spent = float("nan"), seconds
-    started = saved_at = time.monotonic()
+    rmse, spent = float("nan"), before
+    started = saved_at = Spent.now()
     with (
         (folder / METRICS_FILE).open("a", encoding="utf-8") as metrics,
         tqdm(
@@ -86,14 +102,15 @@ def fit(recipe: Recipe, data: TrainingData, folder: Path, quiet: bool = False, b
                 line["held_out_rmse"] = rmse
             metrics.write(json.dumps(line) + "\n")
             progress.set_postfix(loss=f"{likelihood + penalty:.3f}", held_out_rmse=f"{rmse:.3f}", refresh=False)
-            now = time.monotonic()
-            if last or now - saved_at > CHECKPOINT_EVERY_S:
+            now = Spent.now()
+            if last or now.seconds - saved_at.seconds > CHECKPOINT_EVERY_S:
                 metrics.flush()
-                spent = seconds + now - started
+                spent = now.since(started, before)
                 _save_checkpoint(folder, network, adam, epoch + 1, spent)
                 saved_at = now
     if first_epoch < recipe.epochs:
-        _write_cost(folder, {"seconds": round(spent, 1), "device": device.type, "precision": str(dtype)[6:]})
+        figures = {name: round(value, 1) for name, value in spent._asdict().items()}
+        _write_cost(folder, {**figures, "device": device.type, "precision": str(dtype)[6:]})
     _write_weights(folder, network)
     return network.eval()
 
@@ -216,27 +233,28 @@ def _open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
 
 
 def _save_checkpoint(
-    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, seconds: float
+    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, spent: Spent
 ) -> None:
     part = folder / (CHECKPOINT_FILE + ".part")
-    state = {"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch, "seconds": seconds}
+    state = {"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch, **spent._asdict()}
     torch.save(state, part)
     part.replace(folder / CHECKPOINT_FILE)
 
 
-def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, float]:
-    """Load the last checkpoint, drop the metrics written after it; the epoch to go on with, and the seconds so far."""
+def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, Spent]:
+    """Load the last checkpoint, drop the metrics written after it; the epoch to go on with, and what it took so far."""
     path, metrics = folder / CHECKPOINT_FILE, folder / METRICS_FILE
-    next_epoch, seconds = 0, 0.0
+    next_epoch, spent = 0, Spent(0.0, 0.0)
     if path.is_file():
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(checkpoint["network"])
         adam.load_state_dict(checkpoint["adam"])
         next_epoch, seconds = int(checkpoint["next_epoch"]), float(checkpoint["seconds"])
+        spent = Spent(seconds, float(checkpoint.get("processor_s", seconds)))  # which older checkpoints do not tell
     if metrics.is_file():
         lines = metrics.read_text(encoding="utf-8").splitlines(keepends=True)
         metrics.write_text("".join(lines[:next_epoch]), encoding="utf-8")
-    return next_epoch, seconds
+    return next_epoch, spent
 
 
 def _write_cost(folder: Path, cost: dict[str, str | float]) -> None:

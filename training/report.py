@@ -71,7 +71,7 @@ def render(made: Reproduction) -> str:
 
 
 def _heading(made: Reproduction) -> str:
-    hours = sum(float(result.cost["seconds"]) for result in made.results) / 3600.0
+    hours, seeds = _hours(made.results), "1 seed" if made.seeds == 1 else f"{made.seeds} seeds"
     devices = ", ".join(sorted({f"{result.cost['device']} ({result.cost['precision']})" for result in made.results}))
     origins = {tuple(result.origin.items()): result.origin for result in made.results}
     sources = sorted({source for origin in origins.values() for key, source in origin.items() if "source" in key})
@@ -87,8 +87,8 @@ def _heading(made: Reproduction) -> str:
 Data of every figure marked *ours*: **{"; ".join(sources)}**.
 The paper's figures are from its own data, which are not these: compare the order of the methods, not the digits.
 
-{held} of the paper's {claims} claims hold. {made.seeds} seeds per row, {made.epochs} epochs{shorter},
-{hours:.1f} hours of training on {devices}.{cooling} To make this again:
+{held} of the paper's {claims} claims hold. {seeds} per row, {made.epochs} epochs{shorter},
+{hours} of training on {devices}.{cooling} To make this again:
 
 ```sh
 {made.command}
@@ -96,6 +96,14 @@ The paper's figures are from its own data, which are not these: compare the orde
 
 ![RMSE of the paper and ours]({PLOT_FILE})
 """
+
+
+def _hours(results: Sequence[Result]) -> str:
+    """What the runs took by the clock, others' turns included; and of processors, where all tell."""
+    hours = sum(float(result.cost["seconds"]) for result in results) / 3600.0
+    told = [float(result.cost["processor_s"]) for result in results if "processor_s" in result.cost]
+    processor = f" ({sum(told) / 3600.0:.1f} of processor time)" if len(told) == len(results) else ""
+    return f"{hours:.1f} hours{processor}"
 
 
 def _table(made: Reproduction, table: Table) -> str:

@@ -24,6 +24,7 @@ from training.fit import (
     METRICS_FILE,
     WEIGHTS_FILE,
     Network,
+    Spent,
     cooling,
     fit,
     learning_rate,
@@ -405,11 +406,22 @@ def test_an_unfinished_run_is_not_loaded(indicator_run: Path, tmp_path: Path, ha
 
 
 def test_a_run_leaves_what_it_cost(indicator_run: Path) -> None:
-    """Seconds of training, device and precision stand beside the weights."""
+    """Seconds of training, by the clock and of processors, device and precision stand beside the weights."""
     cost = json.loads((indicator_run / COST_FILE).read_text(encoding="utf-8"))
 
     assert cost["seconds"] >= 0.0
+    assert cost["processor_s"] >= 0.0
     assert (cost["device"], cost["precision"]) == ("cuda" if torch.cuda.is_available() else "cpu", "float32")
+
+
+def test_what_a_run_took_adds_up_over_its_sittings() -> None:
+    """Clocks are read again after a break, from wherever they stand."""
+    sittings = [(Spent(100.0, 7.0), Spent(130.0, 27.0)), (Spent(5.0, 1.0), Spent(15.0, 4.0))]
+    spent = Spent(0.0, 0.0)
+    for started, ended in sittings:
+        spent = ended.since(started, spent)
+
+    assert spent == Spent(40.0, 23.0)
 
 
 def test_a_finished_run_started_again_costs_nothing_more(

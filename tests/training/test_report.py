@@ -1,6 +1,7 @@
 """Reports: the paper's rows beside ours, its claims, the data named, and raw figures from which all of it follows."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,20 @@ def test_the_report_names_data_seeds_epochs_cost_and_command() -> None:
     assert "2 seeds per row, 7 epochs (the paper: 3000)" in text
     assert "6.0 hours of training on cpu (bfloat16)" in text
     assert "cazsl-train reproduce different-surfaces --epochs 7" in text
+
+
+def test_one_seed_is_a_seed() -> None:
+    """Not "1 seeds"."""
+    assert "1 seed per row" in render(made("different-surfaces", as_in_the_paper("different-surfaces"), seeds=1))
+
+
+def test_processor_time_is_told_when_every_run_tells_it() -> None:
+    """The clock goes on while others have the machine; results from elsewhere may not know better."""
+    reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
+    told = [replace(result, cost={**COST, "processor_s": 900.0}) for result in reproduction.results]
+
+    assert "6.0 hours (3.0 of processor time) of training" in render(replace(reproduction, results=told))
+    assert "6.0 hours of training" in render(replace(reproduction, results=[reproduction.results[0], *told[1:]]))
 
 
 def test_both_surfaces_are_named() -> None:
