@@ -119,10 +119,15 @@ class BoundedConnection(HttpToolsProtocol):
 
     def on_body(self, body: bytes) -> None:
         """A part of a body."""
-        if self._short is None:
-            super().on_body(body)
-        else:
+        if self._short is not None:
             self._short.body += body
+            return
+        cycle: Any = self.cycle  # which would copy each piece twice
+        if not cycle.body:
+            cycle.body = b""  # which and a piece are that piece
+        elif isinstance(cycle.body, bytes):
+            cycle.body = bytearray(cycle.body)  # to which many pieces can be added
+        super().on_body(body)
 
     def on_message_complete(self) -> None:
         """The request is whole."""

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from starlette.responses import PlainTextResponse
+from starlette.types import Receive, Scope, Send
 
 from service.connections import PairedWrites
 from tests.wires import FakeTransport, Wire
@@ -97,3 +98,40 @@ def test_a_connection_that_is_lost_is_not_held_until_its_time_is_over(said: byte
         return left()
 
     assert asyncio.run(run()) is None
+
+
+async def echo(scope: Scope, receive: Receive, send: Send) -> None:
+    """Answer with the body, read message by message."""
+    content, more = b"", True
+    while more:
+        message = await receive()
+        assert type(message["body"]) is bytes
+        content, more = content + message["body"], message["more_body"]
+    length = (b"content-length", b"%d" % len(content))
+    await send({"type": "http.response.start", "status": 200, "headers": [length]})
+    await send({"type": "http.response.body", "body": content})
+
+
+@pytest.mark.parametrize(
+    "sizes",
+    [(9,), (70_000,), (70_000, 70_000), (70_000, 1, 2, 70_000), (1,) * 9, (0, 5), (20_000, 20_000, 90_000)],
+    ids=str,
+)
+@pytest.mark.parametrize("at_once", [True, False], ids=["in one turn", "turn by turn"])
+def test_a_body_arrives_as_it_was_sent_in_whatever_pieces(sizes: tuple[int, ...], at_once: bool) -> None:
+    """A large piece is kept as it is, others are added to it; nothing is lost, doubled or turned around."""
+    pieces = [bytes([65 + number]) * size for number, size in enumerate(sizes)]
+    whole = b"".join(pieces)
+
+    async def run() -> bytes:
+        """Send piece by piece."""
+        wire = Wire(echo, None)
+        wire.say(f"POST / HTTP/1.1\r\nHost: h\r\nContent-Length: {len(whole)}\r\n\r\n".encode())
+        for piece in pieces:
+            wire.say(piece)
+            if not at_once:
+                await asyncio.sleep(0)
+                await asyncio.sleep(0)
+        return await wire.heard(1)
+
+    assert asyncio.run(run()).partition(b"\r\n\r\n")[2] == whole

@@ -61,6 +61,44 @@ def test_what_waits_too_long_is_told_and_never_begun() -> None:
     assert not begun.is_set()
 
 
+def test_who_leaves_takes_along_what_has_not_begun() -> None:
+    """A client that hung up is not worked for; what runs for it ends by itself, and is told to nobody."""
+    workers, release, begun = Workers(1, 1, 10.0), threading.Event(), threading.Event()
+
+    async def scenario() -> None:
+        """What happens, in the loop."""
+        tasks = [asyncio.ensure_future(workers.run(work)) for work in (release.wait, begun.set)]
+        await asyncio.sleep(0)
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+        assert workers.jobs == 1
+        release.set()
+        await workers.run(int)
+
+    asyncio.run(scenario())
+    workers.close()
+    assert not begun.is_set()
+
+
+def test_a_thread_that_outlives_the_loop_is_silent(caplog: pytest.LogCaptureFixture) -> None:
+    """Its caller was told of the deadline, and the service has ended since."""
+    workers, release = Workers(1, 0, 0.01), threading.Event()
+
+    async def scenario() -> None:
+        """What happens, in the loop."""
+        with pytest.raises(DeadlineError):
+            await workers.run(release.wait)
+
+    asyncio.run(scenario())
+    release.set()
+    workers.close()
+    for thread in threading.enumerate():
+        if thread.name.startswith("worker"):
+            thread.join()
+    assert caplog.text == ""
+
+
 @pytest.mark.parametrize(
     ("content", "expected"), [("100000 100000", 1), ("10000 100000", 1), ("max 100000", None), ("?", None)]
 )
