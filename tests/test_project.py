@@ -83,3 +83,18 @@ def test_the_commands_that_the_project_speaks_of_exist(project_root: Path, targe
     """Each make target is there and says what it does."""
     makefile = (project_root / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}:.*## ", makefile, re.MULTILINE)
+
+
+def test_the_index_of_results_has_every_table_with_its_claims(project_root: Path) -> None:
+    """And says of each what its page says."""
+    results = project_root / "docs" / "results"
+    rows = (results / "README.md").read_text(encoding="utf-8").splitlines()
+    for page in sorted(results.glob("*/README.md")):
+        row = next((row for row in rows if f"({page.parent.name}/README.md)" in row), None)
+        assert row is not None, page
+        found = re.search(
+            r"(\d+ of) the paper's (\d+) claims hold\. \d+ seeds? per row, (\d+) epochs", page.read_text("utf-8")
+        )
+        if found is not None:  # a table of the paper
+            _, _, epochs, claims, _, _ = row.split("|")
+            assert (claims.strip(), epochs.split(",")[0].strip()) == (f"{found[1]} {found[2]}", found[3])
