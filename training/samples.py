@@ -60,6 +60,17 @@ class Samples:
         """Those of some objects, in this order."""
         return self._map(lambda tensor: tensor[objects])
 
+    def singly(self) -> "Samples":
+        """Every sample as an object of its own, with its object's context; padding is left out."""
+        present = self.valid > 0
+        return Samples(
+            self.inputs[present][:, None],
+            self.targets[present][:, None],
+            self.valid[present][:, None],
+            self.context.repeat_interleave(present.sum(dim=1), dim=0),
+            self.target_std,
+        )
+
     def to(self, device: torch.device) -> "Samples":
         """The same on this device."""
         return self._map(lambda tensor: tensor.to(device))

@@ -10,10 +10,10 @@ def test_a_simulation_has_the_paper_s_counts() -> None:
     """4000 samples of 200 parameter sets to train on, 400 of 20 others to test on; three values in, one out."""
     data = draw_training_data(0)
 
-    assert data.train.inputs.shape == (200, 20, 3)
+    assert data.train.inputs.shape == (4000, 1, 3)
     assert data.held_out.inputs.shape == (20, 20, 3)
-    assert (data.train.targets.shape, data.held_out.targets.shape) == ((200, 20, 1), (20, 20, 1))
-    assert (data.train.context.shape, data.held_out.context.shape) == ((200, 2), (20, 2))
+    assert (data.train.targets.shape, data.held_out.targets.shape) == ((4000, 1, 1), (20, 20, 1))
+    assert (data.train.context.shape, data.held_out.context.shape) == ((4000, 2), (20, 2))
     assert data.train.valid.min() == data.held_out.valid.min() == 1.0
     assert "time step 0.3" in data.origin["source"]
 
@@ -85,7 +85,8 @@ def test_values_are_in_units_of_the_training_set() -> None:
     """Mean 0 and deviation 1 over the training values; the unit is the scale's root mean square, about 5.8."""
     data = draw_training_data(0)
     # every value of a path but its first three is a target once
-    values = np.concatenate([data.train.inputs[:, 0].numpy(), data.train.targets[..., 0].numpy()], axis=1)
+    inputs, targets = (values.numpy().reshape(200, 20, -1) for values in (data.train.inputs, data.train.targets))
+    values = np.concatenate([inputs[:, 0], targets[..., 0]], axis=1)
 
     assert values.shape == (200, 23)
     assert (values.mean(), values.std()) == pytest.approx((0.0, 1.0), abs=1e-5)

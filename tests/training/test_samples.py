@@ -64,6 +64,20 @@ def test_a_selection_keeps_the_order_asked_for(viewed_pushes: Pushes) -> None:
     assert found.target_std == samples.target_std
 
 
+def test_samples_taken_singly_keep_their_contexts() -> None:
+    """Each is an object of its own, in order; padding is not one."""
+    numbers = torch.arange(6.0).reshape(2, 3)
+    valid = torch.tensor([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
+    context = torch.tensor([[7.0], [8.0]])
+    single = Samples(numbers[..., None], -numbers[..., None], valid, context, (2.0,)).singly()
+
+    assert single.inputs.tolist() == [[[0.0]], [[1.0]], [[2.0]], [[3.0]], [[5.0]]]
+    assert single.targets.flatten().tolist() == [0.0, -1.0, -2.0, -3.0, -5.0]
+    assert single.valid.tolist() == [[1.0]] * 5
+    assert single.context.tolist() == [[7.0], [7.0], [7.0], [8.0], [8.0]]
+    assert single.target_std == (2.0,)
+
+
 def test_training_data_are_the_split_s(pushes: Pushes) -> None:
     """200 objects to fit, 50 others to measure, and where they come from."""
     data = TrainingData.of(different_objects(), ContextKind.INDICATOR, pushes)
