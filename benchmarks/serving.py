@@ -162,7 +162,7 @@ def start(rounds: int) -> None:
             memory.append(found.rss_mib())
     print("\n## Start\n\n| | median |\n|---|---|")
     print(f"| to the first answer | {statistics.median(times):.2f} s |")
-    print(f"| memory then | {statistics.median(memory):.0f} MiB |")
+    print(f"| memory then | {statistics.median(memory):.1f} MiB |")
 
 
 def main() -> None:
