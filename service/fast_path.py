@@ -70,7 +70,6 @@ DOORS: Final = {
     )
 }
 UPLOADS: Final = {"/v1/predict/image": predict_upload, "/v1/contexts": describe_upload}
-_IN_JSON: Final = frozenset((*DOORS, *UPLOADS))  # whose answers have no other form
 _INFER_PATH: Final = re.compile(r"/v2/models/(?P<model>[a-z0-9@_-]{1,140})(?:/versions/(?P<version>[0-9]{1,9}))?/infer")
 _INFER_ROUTES: Final = ("/v2/models/{name}/infer", "/v2/models/{name}/versions/{version}/infer")
 
@@ -139,7 +138,7 @@ class FastPath:
         door = DOORS.get(path) or _other_door(path, headers)
         if door is None:
             return None
-        declared, any_accept = not door.json_only, path not in _IN_JSON
+        declared, any_accept = not door.json_only, path.startswith("/v2/")  # which answers in bytes too
         authorization = None
         for name, value in headers:
             if name == b"content-type":
