@@ -1,6 +1,6 @@
 """Other people's clients, unchanged, against a real service process: tritonclient, blocking and asyncio; KServe's SDK.
 
-KServe's SDK wants another protobuf than the trainer's onnx, so it has an environment of its own: CAZSL_KSERVE_PYTHON
+KServe's SDK wants another protobuf than the trainer's onnx, so it has an environment of its own: KSERVE_PYTHON
 names its interpreter (``python -m venv kserve && kserve/bin/pip install kserve==0.21.0``).
 """
 
@@ -20,7 +20,7 @@ from service.contract import ObjectContext
 from service.registry import Registry
 from tests.serving import ROOT, serve
 
-KSERVE = os.environ.get("CAZSL_KSERVE_PYTHON")
+KSERVE = os.environ.get("KSERVE_PYTHON")
 
 PUSHES = np.array([[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]], dtype=np.float32)
 CONTEXT = ObjectContext.from_descriptor("1a2b3c4a").indicator()[None]
@@ -148,7 +148,7 @@ def test_the_asyncio_client_speaks_too(url: str) -> None:
 
 @pytest.mark.skipif(
     KSERVE is None,
-    reason="kserve wants protobuf < 7: CAZSL_KSERVE_PYTHON names no interpreter with it",
+    reason="kserve wants protobuf < 7: KSERVE_PYTHON names no interpreter with it",
 )
 def test_the_sdk_of_kserve_speaks_too(url: str) -> None:
     """Health, inference in both forms, and the text of an error."""
