@@ -13,21 +13,20 @@ Fitted with z of the posterior and the divergence of posterior from prior; evalu
 published evaluation encodes the very targets that it is asked for; ``leak`` does so too, for the figure beside ours.)
 """
 
-import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, cast
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
+from training.attention import WIDTH, Attention, Embedded
 from training.losses import gaussian_divergence, gaussian_nll
 from training.networks import POSE, Prediction, bounded
+from training.rounded import rounded_last
 from training.samples import Samples
 
-WIDTH: Final = 128
-HEADS: Final = 4
 ATTENTION_LAYERS: Final = 2
-DROPOUT: Final = 0.1
 DECODER_WIDTH: Final = 3 * WIDTH
 DECODER_LAYERS: Final = 3
 SUPPORT: Final = 50
@@ -43,36 +42,6 @@ class Points:
     valid: Tensor  # (objects, n)
 
 
-class Attention(nn.Module):
-    """Multi-head attention, then dropout, the sum with the queries, and layer norm."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.query, self.key, self.value, self.mixture = (nn.Linear(WIDTH, WIDTH) for _ in range(4))
-        self.dropout = nn.Dropout(DROPOUT)
-        self.norm = nn.LayerNorm(WIDTH)
-
-    def forward(self, queries: Tensor, keys: Tensor, values: Tensor, valid: Tensor) -> Tensor:
-        """Attend from (objects, n, 128) to those of (objects, m, 128) that are valid (objects, m)."""
-        query, key, value = (
-            self._heads(layer(given))
-            for layer, given in ((self.query, queries), (self.key, keys), (self.value, values))
-        )
-        # an object without a single key attends to padding: the result is never used, but it must not be NaN
-        seen = (valid > 0) | (valid.sum(dim=1, keepdim=True) == 0)
-        unseen = torch.zeros_like(valid).masked_fill(~seen, -torch.inf)[:, None, None, :].to(query.dtype)
-        # two products and a softmax: on a processor, torch's fused attention takes several times as long to go back
-        shares = torch.softmax((query / math.sqrt(WIDTH // HEADS)) @ key.transpose(-2, -1) + unseen, dim=-1)
-        attended = shares.to(value.dtype) @ value
-        together = self.mixture(attended.transpose(1, 2).flatten(2))
-        result: Tensor = self.norm(queries + self.dropout(together))
-        return result
-
-    @staticmethod
-    def _heads(value: Tensor) -> Tensor:
-        return value.view(*value.shape[:2], HEADS, WIDTH // HEADS).transpose(1, 2)  # (objects, heads, n, 32)
-
-
 class PointEncoder(nn.Module):
     """Pushes with their outcomes, each in the light of the others: a dense layer and two layers of self-attention."""
 
@@ -83,8 +52,10 @@ class PointEncoder(nn.Module):
 
     def forward(self, points: Points) -> Tensor:
         """Encode points as (objects, n, 128)."""
-        encoded: Tensor = self.embed(torch.cat([points.inputs, points.targets], dim=-1))
-        for layer in self.layers:
+        embedded = Embedded(torch.cat([points.inputs, points.targets], dim=-1), self.embed)
+        first, *others = self.layers
+        encoded: Tensor = first(embedded, embedded, embedded, points.valid)
+        for layer in others:
             encoded = layer(encoded, encoded, encoded, points.valid)
         return encoded
 
@@ -116,17 +87,27 @@ class NeuralProcess(nn.Module):
     def decode(self, support: Points, inputs: Tensor, latent: Tensor) -> tuple[Tensor, Tensor]:
         """Mean and log std (objects, n, outputs) of the outcomes of inputs (objects, n, inputs)."""
         encoded = self.support_points(support)
-        found, keys = self.place(inputs), self.place(support.inputs)
-        for layer in self.cross:
+        keys, (first, *others) = Embedded(support.inputs, self.place), self.cross
+        found: Tensor = first(Embedded(inputs, self.place), keys, encoded, support.valid)
+        for layer in others:
             found = layer(found, keys, encoded, support.valid)
-        everywhere = latent[:, None, :].expand(-1, inputs.shape[1], -1)
-        hidden = torch.cat([self.target_input(inputs), found, everywhere.to(found.dtype)], dim=-1)
-        for dense in self.decoder:
+        hidden = torch.relu(self._joined(inputs, found, latent))
+        for dense in self.decoder[1:]:
             hidden = torch.relu(dense(hidden))
         # the Gaussian itself in float32, whatever the layers were multiplied in
         with torch.autocast(hidden.device.type, enabled=False):
-            mean, log_std = self.last(hidden.to(self.last.weight.dtype)).chunk(2, dim=-1)
+            out = rounded_last(hidden.flatten(0, 1), self.last.weight, self.last.bias)
+        mean, log_std = out.view(*inputs.shape[:-1], -1).chunk(2, dim=-1)
         return mean, log_std if self.training else bounded(log_std)
+
+    def _joined(self, inputs: Tensor, found: Tensor, latent: Tensor) -> Tensor:
+        """The decoder's first layer of ``[target_input(x), r(x), z]``, each by its own columns; z once per object."""
+        dense = cast(nn.Linear, self.decoder[0])
+        of_input, of_found, of_latent = dense.weight.chunk(3, dim=1)
+        same = functional.linear(latent, of_latent, dense.bias) + of_input @ self.target_input.bias
+        weight = (of_input @ self.target_input.weight).T.expand(len(inputs), -1, -1)
+        joined = torch.baddbmm(same[:, None, :], inputs, weight)
+        return torch.addmm(joined.flatten(0, 1), found.flatten(0, 1), of_found.T).view_as(joined)
 
     def forward(self, support: Points, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Predict with the mean of the prior: nothing of the targets but their inputs is known."""
