@@ -211,8 +211,9 @@ def reproduce(
     different-surfaces   ABS to train on, plywood (the folder beside --data) to test on
     different-weights    objects with 0, 1 or 2 weights to test on, the others to train on
 
-    Each writes README.md, figures.json and a plot into its folder, and a run folder per row and seed. Interrupted, it
-    goes on where it stopped when it is started again. To try it: --epochs 100 --seeds 1 --out runs/trial
+    Each writes README.md, figures.json and a plot into its folder, again after every run, and a run folder per row and
+    seed. Interrupted, it goes on where it stopped when it is started again.
+    To try it: --epochs 100 --seeds 1 --out runs/trial
 
     A run takes one core, wherever that is, and its figures are the same: --jobs says how many at once here, --ray
     ADDRESS (extra 'ray') has a cluster do them. A run whose node dies is done again on another; all that is finished
@@ -234,13 +235,17 @@ def reproduce(
             raise click.UsageError(f"--cooling: received {cooling}; accepted is up to {rounds}, the epochs of {name}")
         read = reproduction.data_reader(experiment, folder, views)
         earlier = {} if known is None else figures.read_figures(known, experiment, rounds)
-        results = reproduction.reproduce(experiment, read, out / name, runs, rounds, workforce=workforce, known=earlier)
         command = f"cazsl-train reproduce {name} --epochs {rounds} --seeds {runs} --out {out}"
         command += f" --cooling {cooling}" if cooling else ""
         command += "".join(f" --skip '{method}'" for method in skip)
         command += "" if known is None else f" --known {known}"
         command += "" if name == GAUSSIAN_PROCESS else _data_words(folder, views)
-        path = report.write_report(report.Reproduction(experiment, results, runs, rounds, command), out / name)
+        write = report.writer(experiment, runs, rounds, command, out / name)
+        path = write(
+            reproduction.reproduce(
+                experiment, read, out / name, runs, rounds, workforce=workforce, known=earlier, look=write
+            )
+        )
         click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")
 
 

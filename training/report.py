@@ -1,11 +1,12 @@
 """What a reproduction found, beside the paper: tables in its shape, its claims, a plot, and the raw figures.
 
 Every figure of ours is a mean over seeds; what stands behind the sign is their standard deviation. A report names its
-data, says whether they are simulated, and gives the command that makes it again.
+data, says whether they are simulated, and gives the command that makes it again. It is written after every run, so that
+days of training can be watched: rows that have no run yet are empty, claims that need them are open.
 """
 
 import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -13,13 +14,16 @@ from typing import Final
 from matplotlib.figure import Figure
 
 from training.evaluate import Evaluation
-from training.experiments import Cell, Experiment, PaperFigures, Table
+from training.experiments import Cell, Claim, Experiment, PaperFigures, Table
 from training.figures import FIGURES_FILE, raw_figures
 from training.methods import METHODS
 from training.reproduction import Result
 
 REPORT_FILE: Final = "README.md"
 PLOT_FILE: Final = "rmse.png"
+HOLDS: Final = "holds"
+FAILS: Final = "does not hold"
+OPEN: Final = "open"
 
 
 @dataclass(frozen=True)
@@ -45,10 +49,23 @@ class Reproduction:
     epochs: int
     command: str
 
-    def spread(self, cell: Cell, figure: Callable[[Evaluation], float], leaked: bool = False) -> Spread:
-        """A figure of a cell over its seeds."""
+    @property
+    def runs(self) -> int:
+        """How many there are when all are done."""
+        return self.seeds * len(self.experiment.cells)
+
+    def spread(self, cell: Cell, figure: Callable[[Evaluation], float], leaked: bool = False) -> Spread | None:
+        """A figure of a cell over its seeds, as far as they are done; nothing where none is."""
         found = [result.leaked if leaked else result.found for result in self.results if result.cell == cell]
-        return Spread.of([figure(evaluation) for evaluation in found if evaluation is not None])
+        values = [figure(evaluation) for evaluation in found if evaluation is not None]
+        return Spread.of(values) if values else None
+
+
+def writer(
+    experiment: Experiment, seeds: int, epochs: int, command: str, folder: Path
+) -> Callable[[Sequence[Result]], Path]:
+    """Who writes the report of as many results as there are; given them, the report's path."""
+    return lambda results: write_report(Reproduction(experiment, results, seeds, epochs, command), folder)
 
 
 def write_report(made: Reproduction, folder: Path) -> Path:
@@ -75,8 +92,10 @@ def _heading(made: Reproduction) -> str:
     devices = ", ".join(sorted({f"{result.cost['device']} ({result.cost['precision']})" for result in made.results}))
     origins = {tuple(result.origin.items()): result.origin for result in made.results}
     sources = sorted({source for origin in origins.values() for key, source in origin.items() if "source" in key})
-    held = sum(claim.holds(_errors(made)) for table in made.experiment.tables for claim in table.claims)
-    claims = sum(len(table.claims) for table in made.experiment.tables)
+    verdicts = [_verdict(claim, _errors(made)) for table in made.experiment.tables for claim in table.claims]
+    held, still_open = verdicts.count(HOLDS), verdicts.count(OPEN)
+    left = f", {still_open} open" if still_open else ""
+    done = "" if len(made.results) == made.runs else f"**Not finished: {len(made.results)} of {made.runs} runs.** "
     cooled = made.experiment.cooling_epochs
     cooling = (
         f" The learning rate falls to nothing over the last {cooled} epochs; the paper's does not." if cooled else ""
@@ -87,7 +106,7 @@ def _heading(made: Reproduction) -> str:
 Data of every figure marked *ours*: **{"; ".join(sources)}**.
 The paper's figures are from its own data, which are not these: compare the order of the methods, not the digits.
 
-{held} of the paper's {claims} claims hold. {seeds} per row, {made.epochs} epochs{shorter},
+{done}{held} of the paper's {len(verdicts)} claims hold{left}. {seeds} per row, {made.epochs} epochs{shorter},
 {hours} of training on {devices}.{cooling} To make this again:
 
 ```sh
@@ -124,7 +143,7 @@ def _table(made: Reproduction, table: Table) -> str:
 def _figures(made: Reproduction, cell: Cell, paper: PaperFigures, leaked: bool = False) -> list[str]:
     def ours(figure: Callable[[Evaluation], float], digits: int, scale: float = 1.0, unit: str = "") -> str:
         found = made.spread(cell, figure, leaked)
-        return f"{scale * found.mean:.{digits}f} ± {scale * found.std:.{digits}f}{unit}"
+        return "" if found is None else f"{scale * found.mean:.{digits}f} ± {scale * found.std:.{digits}f}{unit}"
 
     def theirs(value: float, digits: int) -> str:
         return f"{value:.{digits}f}" if value == value else ""
@@ -141,7 +160,15 @@ def _row(texts: Sequence[str]) -> str:
 
 
 def _errors(made: Reproduction) -> dict[Cell, float]:
-    return {cell: made.spread(cell, lambda found: found.rmse).mean for cell in made.experiment.cells}
+    """Of the cells that have a run."""
+    found = {cell: made.spread(cell, lambda found: found.rmse) for cell in made.experiment.cells}
+    return {cell: spread.mean for cell, spread in found.items() if spread is not None}
+
+
+def _verdict(claim: Claim, errors: Mapping[Cell, float]) -> str:
+    if not errors.keys() >= {*claim.lower, *claim.higher}:
+        return OPEN
+    return HOLDS if claim.holds(errors) else FAILS
 
 
 def _claims(made: Reproduction, table: Table) -> str:
@@ -149,11 +176,10 @@ def _claims(made: Reproduction, table: Table) -> str:
     errors = _errors(made)
 
     def shown(cells: Sequence[Cell]) -> str:
-        return ", ".join(f"{errors[cell]:.3f}" for cell in cells)
+        return ", ".join(f"{errors[cell]:.3f}" if cell in errors else "?" for cell in cells)
 
     return "\n".join(
-        f"- {'**holds**' if claim.holds(errors) else '**does not hold**'}: {claim.text} "
-        f"({shown(claim.lower)} against {shown(claim.higher)})"
+        f"- **{_verdict(claim, errors)}**: {claim.text} ({shown(claim.lower)} against {shown(claim.higher)})"
         for claim in table.claims
     )
 
@@ -182,7 +208,8 @@ def plot(made: Reproduction) -> Figure:
     figure = Figure(figsize=(4.2 * columns, 3.4 * rows), layout="constrained", dpi=110)
     for place, table in enumerate(tables, start=1):
         axes = figure.add_subplot(rows, columns, place)
-        ours = [made.spread(table.cell(method), lambda found: found.rmse) for method in table.paper]
+        found = [made.spread(table.cell(method), lambda found: found.rmse) for method in table.paper]
+        ours = [spread or Spread(float("nan"), 0.0) for spread in found]
         places = list(range(len(ours)))
         paper = [figures.rmse for figures in table.paper.values()]
         axes.barh([at - 0.2 for at in places], paper, 0.4, label="paper", color="0.75")

@@ -123,10 +123,11 @@ def reproduce(
     quiet: bool = False,
     workforce: Workforce | None = None,
     known: Mapping[tuple[Cell, int], Result] | None = None,
+    look: Callable[[list[Result]], object] = lambda _: None,
 ) -> list[Result]:
     """Train and measure every cell with every seed, or go on where this folder stopped; by this process unless told.
 
-    What is ``known`` is taken as it is.
+    What is ``known`` is taken as it is. After every run, ``look`` is shown all results so far.
 
     Seed after seed, so that a first look needs no patience; the neural process, an order dearer than all else, last.
 
@@ -153,7 +154,13 @@ def reproduce(
                 unpack(files, run.folder)
             results[run.cell, run.seed] = result
             progress.update()
-    return [results[run.cell, run.seed] for run in runs]
+            look(_in_order(runs, results))
+    return _in_order(runs, results)
+
+
+def _in_order(runs: Sequence[Run], results: Mapping[tuple[Cell, int], Result]) -> list[Result]:
+    """Those that there are, as they were planned, whoever was first."""
+    return [results[run.cell, run.seed] for run in runs if (run.cell, run.seed) in results]
 
 
 def _taken(

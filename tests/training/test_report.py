@@ -154,6 +154,19 @@ def test_a_claim_that_fails_is_said_to_fail() -> None:
     assert "2 of the paper's 3 claims hold" in text
 
 
+def test_what_is_not_trained_yet_is_empty_and_open() -> None:
+    """Rows without a run, claims that need them, and how far it is; what is there counts already."""
+    reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
+    some = [result for result in reproduction.results if result.cell.method != "ANP" and result.seed == 0]
+    text = render(replace(reproduction, results=some))
+
+    assert "**Not finished: 5 of 12 runs.** 2 of the paper's 3 claims hold, 1 open. 2 seeds per row" in text
+    (row,) = [line for line in text.splitlines() if line.startswith("| ANP |")]
+    assert row == "| ANP | 0.271 |  | 0.064 |  | 5.94 |  |  |  |"
+    assert "- **open**: The best model with a context mask beats ANP. (0.257, 0.260, 0.263 against ?)" in text
+    assert len(plot(replace(reproduction, results=some)).axes) == 1
+
+
 def test_the_written_files_are_whole(tmp_path: Path) -> None:
     """A report that shows its plot, the plot, and every run's figures as JSON."""
     reproduction = made("different-objects", as_in_the_paper("different-objects"))

@@ -87,6 +87,28 @@ def test_what_is_finished_is_not_done_again(small: Experiment, viewed_pushes: Pu
     assert len((killed / METRICS_FILE).read_text(encoding="utf-8").splitlines()) == 2
 
 
+def test_who_looks_sees_all_results_so_far_after_every_run(
+    small: Experiment, viewed_pushes: Pushes, tmp_path: Path
+) -> None:
+    """Those that were known among them, in the order of the runs."""
+    reader, seen = Reader(viewed_pushes), list[list[str]]()
+    (first, *_) = reproduce(small.without(["ANP"]), reader, tmp_path / "then", seeds=1, epochs=1, quiet=True)
+
+    known = {(first.cell, 0): first}
+    reproduce(
+        small.without(["ANP"]),
+        reader,
+        tmp_path / "now",
+        seeds=1,
+        epochs=1,
+        quiet=True,
+        known=known,
+        look=lambda results: seen.append([result.cell.method for result in results]),
+    )
+
+    assert seen == [["FCN", "FCN + CM"], ["FCN", "FCN + CM", "FCN + CM + L2Reg"]]
+
+
 def test_what_is_known_is_taken_and_the_rest_is_trained(
     small: Experiment, viewed_pushes: Pushes, tmp_path: Path
 ) -> None:
