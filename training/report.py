@@ -28,15 +28,20 @@ OPEN: Final = "open"
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation over seeds."""
+    """Mean and standard deviation over seeds; a single one has no deviation, which is not one of nothing."""
 
     mean: float
-    std: float
+    std: float | None = None
 
     @classmethod
     def of(cls, values: Sequence[float]) -> "Spread":
-        """Of one value per seed; a single seed has no spread."""
-        return cls(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else 0.0)
+        """Of one value per seed."""
+        return cls(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else None)
+
+    def text(self, digits: int, scale: float = 1.0) -> str:
+        """For a table."""
+        spread = "" if self.std is None else f" ± {scale * self.std:.{digits}f}"
+        return f"{scale * self.mean:.{digits}f}{spread}"
 
 
 @dataclass(frozen=True)
@@ -143,7 +148,7 @@ def _table(made: Reproduction, table: Table) -> str:
 def _figures(made: Reproduction, cell: Cell, paper: PaperFigures, leaked: bool = False) -> list[str]:
     def ours(figure: Callable[[Evaluation], float], digits: int, scale: float = 1.0, unit: str = "") -> str:
         found = made.spread(cell, figure, leaked)
-        return "" if found is None else f"{scale * found.mean:.{digits}f} ± {scale * found.std:.{digits}f}{unit}"
+        return "" if found is None else f"{found.text(digits, scale)}{unit}"
 
     def theirs(value: float, digits: int) -> str:
         return f"{value:.{digits}f}" if value == value else ""
@@ -209,11 +214,11 @@ def plot(made: Reproduction) -> Figure:
     for place, table in enumerate(tables, start=1):
         axes = figure.add_subplot(rows, columns, place)
         found = [made.spread(table.cell(method), lambda found: found.rmse) for method in table.paper]
-        ours = [spread or Spread(float("nan"), 0.0) for spread in found]
+        ours = [spread or Spread(float("nan")) for spread in found]
         places = list(range(len(ours)))
         paper = [figures.rmse for figures in table.paper.values()]
         axes.barh([at - 0.2 for at in places], paper, 0.4, label="paper", color="0.75")
-        means, spreads = [found.mean for found in ours], [found.std for found in ours]
+        means, spreads = [found.mean for found in ours], [found.std or 0.0 for found in ours]
         axes.barh([at + 0.2 for at in places], means, 0.4, xerr=spreads, label="ours", color="C0")
         axes.set_yticks(places, list(table.paper), fontsize=7)
         axes.invert_yaxis()

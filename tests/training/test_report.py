@@ -197,6 +197,7 @@ def test_the_plot_has_a_panel_per_table_with_both_bars() -> None:
 
 
 def test_a_single_seed_has_no_spread() -> None:
-    """Not a number that is none."""
-    assert Spread.of([0.3]) == Spread(0.3, 0.0)
-    assert Spread.of([0.3, 0.5]).std == pytest.approx(0.2 / 2**0.5)
+    """Zero would read as certainty."""
+    assert Spread.of([0.3]) == Spread(0.3)
+    assert Spread.of([0.3]).text(3) == "0.300"
+    assert Spread.of([0.3, 0.5]).text(2, 100.0) == "40.00 ± 14.14"
