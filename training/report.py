@@ -6,6 +6,7 @@ days of training can be watched: rows that have no run yet are empty, claims tha
 """
 
 import statistics
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,7 +94,7 @@ def render(made: Reproduction) -> str:
 
 
 def _heading(made: Reproduction) -> str:
-    hours, seeds = _hours(made.results), "1 seed" if made.seeds == 1 else f"{made.seeds} seeds"
+    hours = _hours(made.results)
     devices = ", ".join(sorted({f"{result.cost['device']} ({result.cost['precision']})" for result in made.results}))
     origins = {tuple(result.origin.items()): result.origin for result in made.results}
     sources = sorted({source for origin in origins.values() for key, source in origin.items() if "source" in key})
@@ -111,7 +112,7 @@ def _heading(made: Reproduction) -> str:
 Data of every figure marked *ours*: **{"; ".join(sources)}**.
 The paper's figures are from its own data, which are not these: compare the order of the methods, not the digits.
 
-{done}{held} of the paper's {len(verdicts)} claims hold{left}. {seeds} per row, {made.epochs} epochs{shorter},
+{done}{held} of the paper's {len(verdicts)} claims hold{left}. {_seeds(made)} per row, {made.epochs} epochs{shorter},
 {hours} of training on {devices}.{cooling} To make this again:
 
 ```sh
@@ -120,6 +121,16 @@ The paper's figures are from its own data, which are not these: compare the orde
 
 ![RMSE of the paper and ours]({PLOT_FILE})
 """
+
+
+def _seeds(made: Reproduction) -> str:
+    """How many a row has; while some are missing, the fewest and the most, of how many."""
+    wanted = "1 seed" if made.seeds == 1 else f"{made.seeds} seeds"
+    done = Counter(result.cell for result in made.results)
+    least, most = (pick(done[cell] for cell in made.experiment.cells) for pick in (min, max))
+    if least == made.seeds:
+        return wanted
+    return f"{least} of {wanted}" if least == most else f"{least} to {most} of {wanted}"
 
 
 def _hours(results: Sequence[Result]) -> str:

@@ -160,11 +160,21 @@ def test_what_is_not_trained_yet_is_empty_and_open() -> None:
     some = [result for result in reproduction.results if result.cell.method != "ANP" and result.seed == 0]
     text = render(replace(reproduction, results=some))
 
-    assert "**Not finished: 5 of 12 runs.** 2 of the paper's 3 claims hold, 1 open. 2 seeds per row" in text
+    assert "**Not finished: 5 of 12 runs.** 2 of the paper's 3 claims hold, 1 open. 0 to 1 of 2 seeds per row" in text
     (row,) = [line for line in text.splitlines() if line.startswith("| ANP |")]
     assert row == "| ANP | 0.271 |  | 0.064 |  | 5.94 |  |  |  |"
     assert "- **open**: The best model with a context mask beats ANP. (0.257, 0.260, 0.263 against ?)" in text
     assert len(plot(replace(reproduction, results=some)).axes) == 1
+
+
+def test_rows_that_have_some_of_their_seeds_say_how_many() -> None:
+    """A mean of one seed beside a mean of two is seen to be one."""
+    reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
+    first = [result for result in reproduction.results if result.seed == 0]
+
+    assert "hold. 1 of 2 seeds per row" in render(replace(reproduction, results=first))
+    assert "hold. 1 to 2 of 2 seeds per row" in render(replace(reproduction, results=reproduction.results[:-1]))
+    assert "hold. 2 seeds per row" in render(reproduction)
 
 
 def test_the_written_files_are_whole(tmp_path: Path) -> None:
