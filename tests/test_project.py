@@ -93,7 +93,8 @@ def test_the_index_of_results_has_every_table_with_its_claims(project_root: Path
         row = next((row for row in rows if f"({page.parent.name}/README.md)" in row), None)
         assert row is not None, page
         found = re.search(
-            r"(\d+ of) the paper's (\d+) claims hold(?:, \d+ open)?\. [\w ]+ seeds? per row, (\d+) epochs",
+            r"(\d+ of) the paper's (\d+) claims hold(?:, \d+ open)?\. "
+            r"(?:\d+(?: to \d+)? of )?\d+ seeds? per row, (\d+) epochs",
             page.read_text("utf-8"),
         )
         if found is not None:  # a table of the paper
