@@ -22,8 +22,13 @@ NODE: Final[dict[str, Any]] = {
     "object_store_memory": 80 * 2**20,
     "include_dashboard": False,
 }
-# no reports to Ray's makers; and a cluster of this machine alone, which Ray knows on other systems only
-ENVIRONMENT = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
+# no reports to Ray's makers; a cluster of this machine alone, which Ray knows on other systems only; and workers that
+# give way to nobody: beside busy processes Ray's own niceness (15) all but stops them
+ENVIRONMENT = {
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
+    "RAY_worker_niceness": "0",
+}
 
 
 class TwoNodes:
