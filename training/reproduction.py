@@ -176,7 +176,8 @@ def _taken(
         result = taken.get((run.cell, run.seed))
         if result is not None and result.origin != data[run.data].origin:
             raise DataError(
-                f"{run.name}: the known figures are of {result.origin}, the data here {data[run.data].origin}"
+                f"{run.name}: the known figures are of {result.origin}, the data here {data[run.data].origin}; "
+                "bring the data that they are of, or leave the known figures out"
             )
     return taken
 
