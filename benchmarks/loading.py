@@ -1,6 +1,6 @@
 """What reading a whole dataset costs: time and memory of the loader beside numpy alone on the same files.
 
-    python benchmarks/loading.py [--data data/simulated/abs] [--rounds 7]
+    python -m benchmarks.loading [--data data/simulated/abs] [--rounds 7]
 
 Each reading has a process of its own, so that its peak memory is its own; the readings take turns, and the first round
 warms the system's file cache. The peak is of the whole process, Python and numpy included.

@@ -1,6 +1,6 @@
 """How much a repeated push scatters, beside what was measured on real plates.
 
-    python benchmarks/repeatability.py [--repeats 400]
+    python -m benchmarks.repeatability [--repeats 400]
 
 Yu et al., "More than a million ways to be pushed", IROS 2016, section VII: a square steel block of 90 mm, pushed 150 mm
 at 20 mm/s along the normal of a side, half way between its middle and its corner, 2,000 times on each plate (table IV).

@@ -1,6 +1,6 @@
 """What the simulator's time step costs in accuracy: the same pushes at the dataset's step and at a quarter of it.
 
-python benchmarks/time_step.py [--objects 10] [--pushes 40]
+python -m benchmarks.time_step [--objects 10] [--pushes 40]
 """
 
 import argparse

@@ -4,7 +4,7 @@ The object lies anywhere on the plate at any yaw; the pusher moves in a straight
 does not feel the object. What differs from push to push is where it starts and aims (``sample_pushers``) and what
 nobody records (``surfaces.Conditions``); a tracker with noise then sees both (``record``). Every object has random
 streams of its own, so that the files depend on the seed: not on the order, on the number of threads, or on
-interruptions. (Nor, but for nanometres, on the processor: ``docs/data.md``, which lists assumptions beyond the paper.)
+interruptions. (Nor, but for last digits, on the processor: ``docs/data.md``, which lists assumptions beyond the paper.)
 """
 
 import copy
