@@ -17,7 +17,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PUSH = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'
-OURS = ["-c", "from service.cli import main; main()", "serve"]
+OURS = ["-c", "from service.cli.main import main; main()", "serve"]
 TICKS = os.sysconf("SC_CLK_TCK")
 REPORT = """
 done = function(summary, latency, requests)

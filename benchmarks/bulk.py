@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from benchmarks.asking import ROOT
-from training.published import omnipush_descriptors
+from training.omnipush.published import omnipush_descriptors
 
 
 def write_pushes(path: Path, rows: int) -> None:
@@ -37,7 +37,7 @@ def write_pushes(path: Path, rows: int) -> None:
 
 def predict_s(source: Path, target: Path, jobs: int) -> float:
     """Seconds that the command takes."""
-    command = [sys.executable, "-c", "from service.cli import main; main()", "predict"]
+    command = [sys.executable, "-c", "from service.cli.main import main; main()", "predict"]
     started = time.perf_counter()
     options: list[str | Path] = ["--registry", ROOT / "models", "--parquet", source, target, "--jobs", str(jobs)]
     subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.asking import ROOT
-from service.registry import Registry
+from service.registry.registry import Registry
 
 NAME = "push-indicator"
 

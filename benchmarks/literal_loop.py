@@ -17,9 +17,9 @@ from torch import Tensor, nn
 from torch.distributions import Normal
 from torch.utils.data import DataLoader, TensorDataset
 
-from training.evaluate import Evaluation, measure
-from training.recipes import Recipe
-from training.samples import Samples, TrainingData
+from training.fitting.evaluation import Evaluation, measure
+from training.fitting.recipe import Recipe
+from training.fitting.samples import Samples, TrainingData
 
 PUBLISHED_WORKERS = 32  # processes of each of its two data loaders
 

@@ -23,10 +23,10 @@ CHILD = """
 import json, resource, sys, time
 from pathlib import Path
 import numpy as np
-from training.data import read_folder
-from training.images import read_views
-from training.inspection import inspect
-from training.views import VIEWS_FOLDER
+from training.omnipush.pushes import read_folder
+from training.simulation.drawing import read_views
+from training.inspection.inspection import inspect
+from training.inspection.views import VIEWS_FOLDER
 folder = Path(sys.argv[1])
 started = time.perf_counter()
 {reading}

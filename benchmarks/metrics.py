@@ -14,8 +14,8 @@ from statistics import median
 from typing import Any
 
 from benchmarks.asking import OURS, PUSH, Figures, Load, ask, free_port, server
-from service.cli import main as cazsl
-from service.metrics import RequestMetrics, exposition, render
+from service.cli.main import main as cazsl
+from service.observability.metrics import RequestMetrics, exposition, render
 
 ROUNDS, SECONDS, CONNECTIONS = 20, 2, 16
 LINES = 10_000

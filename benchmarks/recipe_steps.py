@@ -3,7 +3,7 @@
     python -m benchmarks.recipe_steps [--epochs 150] [--data data/simulated/abs] [--out runs/recipe-steps] [STEP ...]
 
 Each step adds to the one before it. A row has the figures on the held-out objects, and those of the gates that a
-version must pass before an alias may name it (service/gates.py), as each is published into a registry of its own.
+version must pass before an alias may name it (service/pushing/gates.py), as each is published into a registry of its own.
 Interrupted, it goes on where it stopped.
 """
 
@@ -16,15 +16,15 @@ from typing import Any, Final
 
 import torch
 
-from service.gates import judge
-from service.loaded_models import load_version
-from service.predictor import OnnxPredictor
-from service.registry import Registry
-from training.evaluate import evaluate
-from training.export import publish
-from training.fit import Network, fit
-from training.recipes import Recipe, read_recipe
-from training.samples import TrainingData, read_pushes
+from service.inference.loaded_models import load_version
+from service.model.predictor import OnnxPredictor
+from service.pushing.gates import judge
+from service.registry.registry import Registry
+from training.fitting.evaluation import evaluate
+from training.fitting.recipe import Recipe, read_recipe
+from training.fitting.samples import TrainingData, read_pushes
+from training.fitting.training_loop import Network, fit
+from training.publishing.publish import publish
 
 STEPS: Final[dict[str, dict[str, Any]]] = {
     "paper": {},

@@ -13,10 +13,10 @@ import os
 import numpy as np
 from mujoco import rollout
 
-from training.objects import Solid
-from training.scene import PUSHER_RADIUS_M
-from training.simulate import TRACKER_STD, push_object, relative
-from training.surfaces import SURFACES, FrictionField, draw_conditions
+from training.simulation.dataset import TRACKER_STD, push_object, relative
+from training.simulation.scene import PUSHER_RADIUS_M
+from training.simulation.solids import Solid
+from training.simulation.surfaces import SURFACES, FrictionField, draw_conditions
 
 HALF_WIDTH_M = 0.045
 PUBLISHED = {"abs": (5.5, 3.2), "plywood": (8.1, 4.2)}  # std of position (mm) and of rotation (deg)

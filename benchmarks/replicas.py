@@ -28,7 +28,7 @@ from benchmarks.asking import ROOT
 from benchmarks.cluster import ONE_PUSH, Asking, Instance, instances, nginx, odd_answers
 from benchmarks.serving import ROWS, batch_loads
 from benchmarks.swap import NAME, publish
-from service.registry import Registry
+from service.registry.registry import Registry
 
 A_DAY_S = 24 * 3600
 POLL_INTERVAL_S = 2.0

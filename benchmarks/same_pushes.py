@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from training.data import read_object
-from training.omnipush_files import list_folder
+from training.omnipush.files import list_folder
+from training.omnipush.pushes import read_object
 
 ARCTANGENTS = 1_000_000
 

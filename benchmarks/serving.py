@@ -26,8 +26,8 @@ import numpy as np
 from PIL import Image
 
 from benchmarks.asking import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server, wrk
-from service.contract import ContextKind, ObjectContext
-from service.predictor import OnnxPredictor
+from service.model.predictor import OnnxPredictor
+from service.pushing.contexts import ContextKind, ObjectContext
 
 ROWS = 1000
 CONNECTIONS = 16

@@ -40,7 +40,7 @@ from benchmarks.cluster import Asking, Instance, instances, nginx, odd_answers, 
 from benchmarks.hostile import HostileClients
 from benchmarks.soak_report import RECORD_FILE, write_report
 from benchmarks.swap import NAME, publish
-from service.registry import Registry
+from service.registry.registry import Registry
 
 POLL_INTERVAL_S = 2.0
 DRAIN_S = 1.0

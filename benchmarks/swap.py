@@ -35,10 +35,10 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarks.asking import OURS, PUSH, ROOT, Load, Server, ask, free_port, server
-from service.cli import SWITCH_INTERVAL_S
-from service.loaded_models import load_version
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.cli.main import SWITCH_INTERVAL_S
+from service.inference.loaded_models import load_version
+from service.model.predictor import OnnxPredictor
+from service.registry.registry import Registry
 
 NAME = "push-indicator"
 PATH = "/v1/predict"

@@ -9,12 +9,12 @@ import os
 import numpy as np
 from mujoco import rollout
 
-from service.contract import ObjectContext
-from training.objects import solid
-from training.published import omnipush_descriptors
-from training.scene import TIME_STEP_S
-from training.simulate import push_object, sample_pushers
-from training.surfaces import even_conditions
+from service.pushing.contexts import ObjectContext
+from training.omnipush.published import omnipush_descriptors
+from training.simulation.dataset import push_object, sample_pushers
+from training.simulation.scene import TIME_STEP_S
+from training.simulation.solids import solid
+from training.simulation.surfaces import even_conditions
 
 
 def main() -> None:

@@ -28,15 +28,15 @@ from typing import Any, Final, Protocol
 import torch
 
 from benchmarks.literal_loop import PUBLISHED_WORKERS, LiteralEpochs
-from service.contract import ContextKind
-from training.data import read_folder
-from training.evaluate import Evaluation, evaluate
-from training.fit import Network, build_network, keep_freed_memory, product_dtype, train_epoch
-from training.methods import METHODS
-from training.networks import PUSH_SHAPES
-from training.published import different_objects
-from training.recipes import Recipe
-from training.samples import Samples, TrainingData
+from service.pushing.contexts import ContextKind
+from training.fitting.evaluation import Evaluation, evaluate
+from training.fitting.recipe import Recipe
+from training.fitting.samples import Samples, TrainingData
+from training.fitting.training_loop import Network, build_network, keep_freed_memory, product_dtype, train_epoch
+from training.networks.methods import METHODS
+from training.networks.push_network import PUSH_SHAPES
+from training.omnipush.published import different_objects
+from training.omnipush.pushes import read_folder
 
 OBJECTS, PUSHES, BATCH = 200, 250, 64
 MEASURED_EPOCHS: Final = 10

@@ -12,25 +12,27 @@ from fastapi import Depends, FastAPI
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
-from service import monitoring, open_inference, routes
-from service.access import may_predict
-from service.documentation import documentation
+from service.api import monitoring
+from service.api.dependencies import may_predict
+from service.api.docs_page import documentation
+from service.api.gauges import vitals
+from service.api.open_inference import routes as open_inference
+from service.api.open_inference.bodies import ErrorBody
+from service.api.openapi import give_examples, problems, protocol_errors
+from service.api.v1 import routes
 from service.errors import CazslError, ForbiddenError, MissingKeyError
-from service.examples import give_examples, problems, protocol_errors
-from service.fast_path import FastPath
-from service.inference_bodies import ErrorBody
-from service.intake import Intake, IntakeLimits
-from service.keys import Keys
-from service.loaded_models import LoadedModels
-from service.metrics import RequestMetrics, exposition
-from service.problems import install_problem_handlers, problem_response, state_media_type
-from service.readiness import Readiness
-from service.schemas import ProblemBody
+from service.inference.loaded_models import LoadedModels
+from service.inference.readiness import Readiness
+from service.observability.metrics import RequestMetrics, exposition
+from service.observability.telemetry import RequestLog, RequestTelemetry
+from service.schemas.predictions import ProblemBody
 from service.settings import Settings
-from service.short_way import ShortWay
-from service.telemetry import RequestLog, RequestTelemetry
-from service.vitals import vitals
-from service.workers import Workers, threads_beside_the_loop
+from service.transport.admission import Intake, IntakeLimits
+from service.transport.fast_path import FastPath
+from service.transport.keys import Keys
+from service.transport.problems import install_problem_handlers, problem_response, state_media_type
+from service.transport.short_way import ShortWay
+from service.transport.threads import Workers, threads_beside_the_loop
 
 _FIRST_LOOK_S: Final = 2.0
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from service.workforce import Crew, RayCluster
+from service.bulk.executors import Crew, RayCluster
 
 S = TypeVar("S")
 P = TypeVar("P")

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from service.app import create_app
-from service.loaded_models import LoadedModels
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.model.predictor import OnnxPredictor
+from service.registry.registry import Registry
 from service.settings import Settings
 from tests.serving import ROOT
 

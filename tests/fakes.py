@@ -6,10 +6,9 @@ from threading import Event, Semaphore
 
 import numpy as np
 
-from service.contract import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind, FloatArray, IndexArray
 from service.errors import BrokenModelError, PredictionError
-from service.loaded_models import LoadedModels
-from service.manifest import (
+from service.inference.loaded_models import LoadedModels
+from service.model.manifest import (
     OUTPUTS,
     Calibration,
     DataRecord,
@@ -19,7 +18,8 @@ from service.manifest import (
     SelfCheck,
     expected_inputs,
 )
-from service.registry import Registry
+from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind, FloatArray, IndexArray
+from service.registry.registry import Registry
 
 STD = (0.001, 0.002, 0.03)
 BROKEN = b"broken"  # a model that the fake factory refuses
@@ -40,7 +40,7 @@ class FakePredictor:
     def predict(
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        """See ``service.predictor.Predictor``."""
+        """See ``service.model.predictor.Predictor``."""
         self.calls.append(pusher)
         if self.model == FAILING and not is_checked(pusher):
             raise PredictionError("the fake fails")
@@ -80,7 +80,7 @@ class HeldPredictor(FakePredictor):
     def predict(
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        """See ``service.predictor.Predictor``."""
+        """See ``service.model.predictor.Predictor``."""
         if not is_checked(pusher):
             self.gate.reached.release()
             self.gate.opened.wait()

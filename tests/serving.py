@@ -27,14 +27,14 @@ import uvicorn
 from onnx import TensorProto, helper
 
 from service.app import create_app
-from service.connections import bounded_connection
-from service.contract import VISUAL_SIZE, ContextKind
-from service.loaded_models import LoadedModels
-from service.manifest import SelfCheck
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.model.manifest import SelfCheck
+from service.model.predictor import OnnxPredictor
+from service.observability.telemetry import RequestLog
+from service.pushing.contexts import VISUAL_SIZE, ContextKind
+from service.registry.registry import Registry
 from service.settings import Settings
-from service.telemetry import RequestLog
+from service.transport.connection import bounded_connection
 from tests.fakes import draft_manifest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -138,7 +138,7 @@ def _command(environment: dict[str, str], folder: Path) -> list[str]:
     """What starts a service: this interpreter, or the container that was asked for."""
     container = os.environ.get("CAZSL_TEST_CONTAINER")
     if container is None:
-        return [sys.executable, "-c", "from service.cli import main; main()", "serve"]
+        return [sys.executable, "-c", "from service.cli.main import main; main()", "serve"]
     settings = " ".join(f"--env {shlex.quote(f'{name}={value}')}" for name, value in environment.items())
     return shlex.split(container.format(settings=settings, folder=folder))
 

@@ -16,8 +16,8 @@ import tritonclient.http as blocking
 import tritonclient.http.aio as concurrent
 from tritonclient.utils import InferenceServerException
 
-from service.contract import ObjectContext
-from service.registry import Registry
+from service.pushing.contexts import ObjectContext
+from service.registry.registry import Registry
 from tests.serving import ROOT, serve
 
 KSERVE = os.environ.get("KSERVE_PYTHON")

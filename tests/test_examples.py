@@ -14,13 +14,13 @@ from fastapi.testclient import TestClient
 from httpx2 import Response
 from PIL import Image
 
+from service.api.v1.uploads import FORM_TYPE
 from service.app import create_app
-from service.loaded_models import LoadedModels
-from service.object_bodies import IMAGE_EXAMPLE
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.model.predictor import OnnxPredictor
+from service.registry.registry import Registry
+from service.schemas.contexts import IMAGE_EXAMPLE
 from service.settings import Settings
-from service.uploads import FORM_TYPE
 from tests.documented import Json, document, examples_of
 from tests.serving import ROOT
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from service.errors import BrokenModelError
-from service.loaded_models import LoadedModels, load_version
-from service.manifest import FORMAT, FORMATS, Manifest, ModelReference
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels, load_version
+from service.model.manifest import FORMAT, FORMATS, Manifest, ModelReference
+from service.model.predictor import OnnxPredictor
+from service.registry.registry import Registry
 from tests.fakes import draft_manifest
 
 NAME = "push-none"

@@ -18,12 +18,12 @@ from hypothesis import HealthCheck, assume, settings
 from hypothesis import strategies as st
 from starlette.types import Message
 
+from service.api.v1.uploads import FORM_TYPE, IMAGE_TYPES
 from service.app import Service, create_app
-from service.loaded_models import LoadedModels
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.model.predictor import OnnxPredictor
+from service.registry.registry import Registry
 from service.settings import Settings
-from service.uploads import FORM_TYPE, IMAGE_TYPES
 from tests.meaning import (
     is_lost_in_a_form,
     mean_a_file,

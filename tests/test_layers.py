@@ -393,7 +393,7 @@ def test_the_trainer_takes_only_the_shared_rooms_of_the_service(project_root: Pa
 
 def test_serving_loads_neither_torch_nor_the_trainer(project_root: Path) -> None:
     """A fresh interpreter that imports the app and the command line has no torch, no trainer, no pickle loader."""
-    code = "import sys, service.app, service.cli; print(sorted(sys.modules))"
+    code = "import sys, service.app, service.cli.main; print(sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
     modules = set(ast.literal_eval(done.stdout))
     loaded = {module.split(".")[0] for module in modules}

@@ -11,12 +11,12 @@ import jsonschema_rs
 import pytest
 
 from service.app import create_app
-from service.contract import SHAPE_DIGITS, WEIGHT_LETTERS, ObjectContext
 from service.errors import InvalidRequestError
-from service.loaded_models import LoadedModels
-from service.object_bodies import ContextBody
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.model.predictor import OnnxPredictor
+from service.pushing.contexts import SHAPE_DIGITS, WEIGHT_LETTERS, ObjectContext
+from service.registry.registry import Registry
+from service.schemas.contexts import ContextBody
 from service.settings import Settings
 
 

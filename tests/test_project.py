@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 import service
-from service.contract import ObjectContext, Pose
-from service.loaded_models import DEFAULT_MODELS, load_version
-from service.manifest import Manifest, ModelReference
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import DEFAULT_MODELS, load_version
+from service.model.manifest import Manifest, ModelReference
+from service.model.predictor import OnnxPredictor
+from service.pushing.contexts import ObjectContext, Pose
+from service.registry.registry import Registry
 
 
 @pytest.fixture(scope="module")

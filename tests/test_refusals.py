@@ -19,16 +19,16 @@ import pytest
 from httpx2 import Client
 from PIL import Image
 
-from service.connections import MAX_HEAD_BYTES
-from service.contract import ObjectContext
-from service.inference import LIGHT_BYTES
-from service.keys import Grant, Scope
-from service.loaded_models import LoadedModels, PredictorFactory
-from service.object_bodies import IMAGE_EXAMPLE
-from service.predictions import LIGHT_PUSHES
-from service.predictor import OnnxPredictor
-from service.registry import Registry
-from service.workers import threads_beside_the_loop
+from service.api.open_inference.queries import LIGHT_BYTES
+from service.api.v1.queries import LIGHT_PUSHES
+from service.inference.loaded_models import LoadedModels, PredictorFactory
+from service.model.predictor import OnnxPredictor
+from service.pushing.contexts import ObjectContext
+from service.registry.registry import Registry
+from service.schemas.contexts import IMAGE_EXAMPLE
+from service.transport.connection import MAX_HEAD_BYTES
+from service.transport.keys import Grant, Scope
+from service.transport.threads import threads_beside_the_loop
 from tests.documented import Json, document, examples_of, listed_errors
 from tests.fakes import BUGGY, FAILING, Gate, load_fake, publish_fake
 from tests.serving import PATIENCE_S, ROOT, serve_in_thread

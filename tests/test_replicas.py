@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from service.registry import Registry
+from service.registry.registry import Registry
 from tests.serving import PATIENCE_S, ROOT, free_port, wait_until
 
 NAME = "push-indicator"
@@ -84,7 +84,7 @@ def _launched(port: int, registry: Registry, log: Path) -> subprocess.Popen[byte
         "CAZSL_POLL_INTERVAL_S": "0.1",
         "CAZSL_LOG_LEVEL": "WARNING",
     }
-    command = [sys.executable, "-c", "from service.cli import main; main()", "serve"]
+    command = [sys.executable, "-c", "from service.cli.main import main; main()", "serve"]
     with log.open("a") as file:
         return subprocess.Popen(command, cwd=ROOT, env={**os.environ, **environment}, stderr=file)
 

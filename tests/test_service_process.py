@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from service.registry import Registry
+from service.registry.registry import Registry
 from tests.serving import PATIENCE_S, free_port, is_ready, wait_until
 
 BODY = json.dumps({"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}).encode()
@@ -74,7 +74,7 @@ def running(project_root: Path, tmp_path: Path) -> Iterator[Running]:
     environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(root), "CAZSL_POLL_INTERVAL_S": "0.1"}
     with (tmp_path / "log").open("w") as log:
         process = subprocess.Popen(
-            [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+            [sys.executable, "-c", "from service.cli.main import main; main()", "serve"],
             cwd=project_root,
             env={**os.environ, **environment},
             stderr=log,
@@ -200,7 +200,7 @@ def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refu
         environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(tmp_path / "models"), "CAZSL_DRAIN_S": "0.3"}
         with (tmp_path / "log").open("a") as log:
             processes[port] = subprocess.Popen(
-                [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+                [sys.executable, "-c", "from service.cli.main import main; main()", "serve"],
                 cwd=project_root,
                 env={**os.environ, **environment},
                 stderr=log,
@@ -273,7 +273,7 @@ def test_metrics_have_a_port_of_their_own_when_asked(project_root: Path, tmp_pat
     port, metrics_port = free_port(), free_port()
     environment = {"CAZSL_PORT": str(port), "CAZSL_METRICS_PORT": str(metrics_port), "CAZSL_LOG_LEVEL": "WARNING"}
     process = subprocess.Popen(
-        [sys.executable, "-c", "from service.cli import main; main()", "serve"],
+        [sys.executable, "-c", "from service.cli.main import main; main()", "serve"],
         cwd=project_root,
         env={**os.environ, **environment},
     )

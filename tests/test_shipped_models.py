@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from service.contract import ContextKind, ObjectContext
-from service.loaded_models import LoadedModel, load_version
-from service.manifest import ModelReference
-from service.predictor import OnnxPredictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModel, load_version
+from service.model.manifest import ModelReference
+from service.model.predictor import OnnxPredictor
+from service.pushing.contexts import ContextKind, ObjectContext
+from service.registry.registry import Registry
 
 Array = npt.NDArray[np.float64]
 PUSHER_DISTANCE_M = 0.08  # where the benchmark's pushes start

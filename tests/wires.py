@@ -7,8 +7,8 @@ from starlette.types import ASGIApp
 from uvicorn import Config
 from uvicorn.server import ServerState
 
-from service.connections import BoundedConnection, bounded_connection
-from service.short_way import ShortWay
+from service.transport.connection import BoundedConnection, bounded_connection
+from service.transport.short_way import ShortWay
 
 _PATIENCE_TURNS = 5000
 _QUICK_TURNS = 50

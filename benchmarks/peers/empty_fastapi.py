@@ -5,8 +5,8 @@ import sys
 import uvicorn
 from fastapi import FastAPI
 
-from service.requests import PredictRequest
-from service.schemas import PredictResponse
+from service.schemas.predictions import PredictResponse
+from service.schemas.pushes import PredictRequest
 
 ANSWER = PredictResponse.model_validate(
     {

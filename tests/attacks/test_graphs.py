@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from service.contract import ContextKind
 from service.errors import BrokenModelError
-from service.graph import inspect_graph
-from service.loaded_models import LoadedModels
-from service.predictor import OnnxPredictor, Predictor
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.model.onnx_graph import inspect_graph
+from service.model.predictor import OnnxPredictor, Predictor
+from service.pushing.contexts import ContextKind
+from service.registry.registry import Registry
 from tests.attacks.hostile_graphs import ATTACKS, honest
 from tests.fakes import load_fake, publish_fake
 
@@ -49,7 +49,7 @@ def test_a_published_attack_is_a_problem_and_what_is_served_goes_on(tmp_path: Pa
 SMALL = """
 import resource, sys
 from service.errors import BrokenModelError
-from service.graph import inspect_graph
+from service.model.onnx_graph import inspect_graph
 from tests.attacks.hostile_graphs import ATTACKS
 contents = {name: build().SerializeToString() for name, (build, _) in ATTACKS.items()}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -7,8 +7,8 @@ import pytest
 from fastapi.testclient import TestClient
 
 from service.app import create_app
-from service.loaded_models import LoadedModels
-from service.registry import Registry
+from service.inference.loaded_models import LoadedModels
+from service.registry.registry import Registry
 from service.settings import Settings
 from tests.fakes import fake_models
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 
-from service.registry import Registry
+from service.registry.registry import Registry
 from tests.fakes import publish_fake
 
 NAME = "push-indicator"

@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from service.contract import ObjectContext
-from training.data import Pushes, declare_dataset, read_folder, write_object
-from training.published import omnipush_descriptors
+from service.pushing.contexts import ObjectContext
+from training.omnipush.published import omnipush_descriptors
+from training.omnipush.pushes import Pushes, declare_dataset, read_folder, write_object
 
 if TYPE_CHECKING:
-    from training.recipes import Recipe
+    from training.fitting.recipe import Recipe
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:
@@ -40,7 +40,7 @@ def one_thread() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def recipe() -> "Recipe":
     """The paper's masked and regularised network for a few epochs."""
-    from training.recipes import Recipe
+    from training.fitting.recipe import Recipe
 
     return Recipe(
         name="push-indicator",
@@ -76,8 +76,8 @@ def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
     """A finished run of the paper's network on the synthetic pushes; not to be changed."""
-    from training.fit import fit
-    from training.samples import read_training_data
+    from training.fitting.samples import read_training_data
+    from training.fitting.training_loop import fit
 
     folder = tmp_path_factory.mktemp("indicator")
     fit(recipe, read_training_data(recipe.split(), recipe.context_kind, data_folder), folder, quiet=True)
@@ -87,8 +87,8 @@ def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, r
 @pytest.fixture(scope="session")
 def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
     """A finished run of the baseline without context on the synthetic pushes; not to be changed."""
-    from training.fit import fit
-    from training.samples import read_training_data
+    from training.fitting.samples import read_training_data
+    from training.fitting.training_loop import fit
 
     folder = tmp_path_factory.mktemp("none")
     baseline = replace(recipe, name="push-none", method="FCN", context="none")
@@ -107,8 +107,8 @@ def viewed_pushes(data_folder: Path) -> Pushes:
 @pytest.fixture(scope="session")
 def visual_run(tmp_path_factory: pytest.TempPathFactory, viewed_pushes: Pushes, recipe: "Recipe") -> Path:
     """A finished run with visual contexts on the synthetic pushes; not to be changed."""
-    from training.fit import fit
-    from training.samples import TrainingData
+    from training.fitting.samples import TrainingData
+    from training.fitting.training_loop import fit
 
     folder = tmp_path_factory.mktemp("visual")
     visual = replace(recipe, name="push-visual", method="FCN + CM + NeuralReg", context="visual", lambda_2=1.0)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from training.data import declare_dataset, write_object
-from training.omnipush_files import Array, Variant
+from training.omnipush.files import Array, Variant
+from training.omnipush.pushes import declare_dataset, write_object
 
 SOURCE = "synthetic pushes of a test"
 

@@ -1,0 +1,173 @@
+"""The bodies of the Open Inference Protocol, as the OpenAPI document has them.
+
+Requests are read by ``tensors``, which says the same in its own words; their bodies here are for the document.
+"""
+
+import base64
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from service.api.open_inference.wire import LARGEST_RANK, MAX_ROWS, Parameters, render
+from service.schemas.predictions import Body
+
+_RAW_EXAMPLE, _ = render(
+    {"model_name": "push-indicator", "model_version": "1"},
+    {"mean": np.array([[0.021, 0.001, 0.03]], dtype=np.float32)},
+    frozenset(["mean"]),
+)
+RAW_ANSWER: Final = {  # a document in JSON has no other way to show bytes
+    "externalValue": "data:application/octet-stream;base64," + base64.b64encode(_RAW_EXAMPLE).decode()
+}
+_OPEN: Final = ConfigDict(extra="ignore")
+_PUSHER_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]}
+_OUTPUT_EXAMPLE: Final = {"name": "mean", "datatype": "FP32", "shape": [1, 3], "data": [0.021, 0.001, 0.03]}
+_METADATA_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [-1, 3]}
+
+
+class ErrorBody(Body):
+    """What went wrong, as the protocol has it."""
+
+    error: Annotated[
+        str,
+        Field(
+            description="what was received, what is accepted and where",
+            examples=["inputs pusher.shape: received another shape; accepted is [n (1 to 10000), 3]"],
+        ),
+    ]
+
+
+class ServerLiveBody(Body):
+    """The process answers."""
+
+    live: Annotated[Literal[True], Field(description="always true", examples=[True])] = True
+
+
+class ServerReadyBody(Body):
+    """Whether any model can be asked."""
+
+    live: Annotated[bool, Field(description="the protocol's word for ready", examples=[True])]
+    ready: Annotated[bool, Field(description="what some clients look for", examples=[True])]
+
+
+class ServerBody(Body):
+    """What serves."""
+
+    name: Annotated[str, Field(description="always cazsl", examples=["cazsl"])] = "cazsl"
+    version: Annotated[str, Field(description="of the service", examples=["0.1.0"])]
+    extensions: Annotated[
+        list[str], Field(description="parts of the protocol beyond its core", examples=[["binary_tensor_data"]])
+    ]
+
+
+class ModelReadyBody(Body):
+    """The model can be asked."""
+
+    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
+    ready: Annotated[Literal[True], Field(description="always true: otherwise the status is 404", examples=[True])] = (
+        True
+    )
+
+
+class TensorBody(Body):
+    """One tensor of a model."""
+
+    name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
+    datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
+    shape: Annotated[list[int], Field(description="-1 is free: n pushes or g objects", examples=[[-1, 3]])]
+
+
+class ModelMetadataBody(Body):
+    """A model as the protocol describes it."""
+
+    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
+    versions: Annotated[list[str], Field(description="versions served, oldest first", examples=[["1"]])]
+    platform: Annotated[str, Field(description="always onnx_onnxv1", examples=["onnx_onnxv1"])] = "onnx_onnxv1"
+    inputs: Annotated[
+        list[TensorBody],
+        Field(description="m, m, rad; context and context_index of the objects", examples=[[_METADATA_EXAMPLE]]),
+    ]
+    outputs: Annotated[list[TensorBody], Field(description="mean and std in m, m, rad", examples=[[_METADATA_EXAMPLE]])]
+
+
+class InferTensorBody(Body):
+    """An output with its numbers; as raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
+
+    name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
+    datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
+    shape: Annotated[list[int], Field(description="of this tensor", examples=[[1, 3]])]
+    parameters: Annotated[
+        dict[str, bool | int | float | str] | None,
+        Field(description="binary_data_size: its bytes behind the JSON", examples=[{"binary_data_size": 12}]),
+    ] = None
+    data: Annotated[list[Any] | None, Field(description="row-major, flat", examples=[[-0.075, 0.0, 0.0]])] = None
+
+
+class InferInputBody(Body):
+    """An input with its numbers; as raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
+
+    model_config = _OPEN
+
+    name: Annotated[
+        Literal["pusher", "context", "context_index"], Field(description="of the tensor", examples=["pusher"])
+    ]
+    datatype: Annotated[Literal["FP32", "INT64"], Field(description="INT64 for context_index", examples=["FP32"])]
+    shape: Annotated[
+        list[Annotated[int, Field(ge=1, le=MAX_ROWS)]],
+        Field(min_length=1, max_length=LARGEST_RANK, description="n pushes or g objects first", examples=[[1, 3]]),
+    ]
+    parameters: Annotated[
+        Parameters | None,
+        Field(description="binary_data_size: its bytes behind the JSON", examples=[{"binary_data_size": 12}]),
+    ] = None
+    data: Annotated[
+        list[float | list[Any]] | None,
+        Field(description="row-major, nested or flat", examples=[[-0.075, 0.0, 0.0]]),
+    ] = None
+
+
+class OutputBody(Body):
+    """An output that is asked for."""
+
+    model_config = _OPEN
+
+    name: Annotated[Literal["mean", "std"], Field(description="mean or std, each once", examples=["mean"])]
+    parameters: Annotated[
+        Parameters | None, Field(description="binary_data: as raw bytes", examples=[{"binary_data": False}])
+    ] = None
+
+
+class InferRequestBody(Body):
+    """An inference request; fields and parameters that the protocol knows and we do not are left alone."""
+
+    model_config = _OPEN
+
+    id: Annotated[str | None, Field(max_length=256, description="comes back", examples=["42"])] = None
+    parameters: Annotated[
+        Parameters | None,
+        Field(description="binary_data_output: all outputs as raw bytes", examples=[{"binary_data_output": False}]),
+    ] = None
+    inputs: Annotated[
+        list[InferInputBody],
+        Field(
+            min_length=1,
+            max_length=3,
+            description="pusher, and for models with context also context; context_index may be left out for one "
+            "object or one per push",
+            examples=[[_PUSHER_EXAMPLE]],
+        ),
+    ]
+    outputs: Annotated[
+        list[OutputBody] | None,
+        Field(max_length=2, description="left out: mean and std", examples=[[{"name": "mean"}]]),
+    ] = None
+
+
+class InferResponseBody(Body):
+    """An inference."""
+
+    model_name: Annotated[str, Field(description="which answered", examples=["push-indicator"])]
+    model_version: Annotated[str, Field(description="its version", examples=["1"])]
+    id: Annotated[str | None, Field(description="that of the request", examples=["42"])] = None
+    outputs: Annotated[list[InferTensorBody], Field(description="in the order asked for", examples=[[_OUTPUT_EXAMPLE]])]

@@ -1,0 +1,42 @@
+"""What is served, as the bodies of answers: every model, one model, one version."""
+
+import pydantic_core
+
+from service.inference.loaded_models import LoadedModel, Snapshot
+from service.model.manifest import ModelReference
+from service.schemas.predictions import ModelBody, ModelsBody, ModelVersionDetailBody
+
+
+def models_body(models: Snapshot) -> ModelsBody:
+    """Every model that is served, by name."""
+    names = sorted({name for name, _ in models.models})
+    return ModelsBody(models=[model_body(models, name) for name in names])
+
+
+def model_body(models: Snapshot, name: str) -> ModelBody:
+    """One model, with its versions and aliases.
+
+    Raises:
+        UnknownModelError: none of it is served.
+    """
+    versions = models.versions(name)
+    newest: LoadedModel = models.models[name, versions[-1]]
+    return ModelBody(
+        name=name,
+        method=newest.manifest.method,
+        context_kind=newest.manifest.context_kind,
+        versions=versions,
+        aliases=models.aliases_of(name),
+    )
+
+
+def version_body(models: Snapshot, name: str, version: int) -> ModelVersionDetailBody:
+    """One version, with its manifest and its card.
+
+    Raises:
+        UnknownModelError, ModelNotReadyError: as ``Snapshot.find``.
+    """
+    model = models.find(ModelReference(name, None, version))
+    aliases = [alias for alias, target in models.aliases_of(name).items() if target == version]
+    manifest = pydantic_core.from_json(model.manifest.render())
+    return ModelVersionDetailBody(name=name, version=version, aliases=aliases, manifest=manifest, card=model.card)

@@ -1,0 +1,148 @@
+"""What clients send, in the OpenAPI document: examples of JSON bodies, and the forms that FastAPI does not know of.
+
+Every example is sent by a test, and answered.
+"""
+
+from typing import Any, Final
+
+from service.api.v1.uploads import FORM_TYPE, IMAGE_TYPES
+from service.schemas.contexts import IMAGE_EXAMPLE, INDICATOR_EXAMPLE
+
+_PUSHER: Final = {"x": -0.075, "y": 0.0, "angle": 0.0}
+_DESCRIPTOR: Final = {"descriptor": "1a2b3c4a"}
+_FILES: Final = {
+    "image/png": IMAGE_EXAMPLE,
+    "image/jpeg": "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDABsSFBcUERsXFhceHBsgKEIrKCUlKFE6PTBCYFVlZF9VXVtqeJmBanGQc1tdhbWGkJ6j"
+    "q62rZ4C8ybqmx5moq6T/wAALCAAgACABAREA/8QAFQABAQAAAAAAAAAAAAAAAAAAAAb/xAAUEAEAAAAAAAAAAAAAAAAAAAAA/9oA"
+    "CAEBAAA/AJkAUwmRTCZAH//Z",
+    "image/webp": "UklGRioAAABXRUJQVlA4TB0AAAAvH8AHAA8wgAM4gPMfeBDTEPqXdpsCEf2fAHq95QA=",
+}
+
+
+def _request(examples: dict[str, Any]) -> dict[str, Any]:
+    named = {name: {"summary": name, "value": value} for name, value in examples.items()}
+    return {"requestBody": {"content": {"application/json": {"examples": named}}}}
+
+
+ONE_PUSH: Final = _request(
+    {
+        "an object by its descriptor": {"pusher": _PUSHER, "context": _DESCRIPTOR},
+        "an object by its indicator, one version of a model": {
+            "pusher": _PUSHER,
+            "context": {"indicator": INDICATOR_EXAMPLE},
+            "model": "push-indicator@1",
+        },
+        "an object in an image": {"pusher": _PUSHER, "context": {"image": IMAGE_EXAMPLE}},
+        "an object that nothing is known of": {"pusher": _PUSHER},
+        "in the world": {
+            "pusher": {"x": 0.4, "y": 0.025, "angle": 1.5708},
+            "context": _DESCRIPTOR,
+            "object_pose": {"x": 0.4, "y": 0.1, "angle": 1.5708},
+        },
+    }
+)
+MANY_PUSHES: Final = _request(
+    {
+        "of one object": {"pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]], "contexts": [_DESCRIPTOR]},
+        "of several objects": {
+            "pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708], [0.0, 0.075, -1.5708]],
+            "contexts": [_DESCRIPTOR, {"descriptor": "4a4a4a4a"}],
+            "context_index": [0, 1, 0],
+        },
+        "in the world": {
+            "pushers": [[0.325, 0.1, 0.0], [0.4, 0.025, 1.5708]],
+            "contexts": [_DESCRIPTOR],
+            "object_poses": [[0.4, 0.1, 0.0]],
+        },
+    }
+)
+INFERENCE: Final = {
+    "one push": {
+        "value": {
+            "id": "42",
+            "inputs": [
+                {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]},
+                {"name": "context", "datatype": "FP32", "shape": [1, 36], "data": INDICATOR_EXAMPLE},
+            ],
+        }
+    },
+    "two pushes of two objects, their mean alone": {
+        "value": {
+            "inputs": [
+                {"name": "pusher", "datatype": "FP32", "shape": [2, 3], "data": [[-0.075, 0, 0], [0, -0.075, 1.5708]]},
+                {"name": "context", "datatype": "FP32", "shape": [2, 36], "data": [INDICATOR_EXAMPLE] * 2},
+                {"name": "context_index", "datatype": "INT64", "shape": [2], "data": [1, 0]},
+            ],
+            "outputs": [{"name": "mean"}],
+        }
+    },
+}
+
+
+def _form(fields: dict[str, Any], rules: dict[str, Any], examples: dict[str, Any]) -> dict[str, Any]:
+    """A form with an image; what an example says of its image is the name of a file."""
+    image = {"type": "string", "format": "binary", "description": "PNG, JPEG or WebP of the object from above"}
+    schema = {
+        "type": "object",
+        "properties": {"image": image} | fields,
+        "required": ["image"],
+        "additionalProperties": False,
+        **rules,
+    }
+    return {
+        "schema": schema,
+        "encoding": {"image": {"contentType": ", ".join(IMAGE_TYPES)}},
+        "examples": {
+            name: {"summary": f"{name}; view.png stands for the file", "value": {"image": "view.png"} | value}
+            for name, value in examples.items()
+        },
+    }
+
+
+def _rows(name: str) -> dict[str, Any]:
+    """Rows as one part of a form; a list would be a part each."""
+    return {
+        "type": "string",
+        "contentMediaType": "application/json",
+        "contentSchema": {"$ref": f"#/components/schemas/BatchRequest/properties/{name}"},
+        "description": f"JSON of {name} as in /v1/predict/batch",
+    }
+
+
+_PUSH_FORM: Final = _form(
+    {
+        "pusher": {"$ref": "#/components/schemas/PusherBody"},
+        "object_pose": {"$ref": "#/components/schemas/ObjectPoseBody"},
+        "pushers": _rows("pushers"),
+        "object_poses": _rows("object_poses"),
+        "model": {"$ref": "#/components/schemas/PredictRequest/properties/model"},
+    },
+    {
+        "oneOf": [{"required": ["pusher"]}, {"required": ["pushers"]}],
+        "dependentRequired": {"object_pose": ["pusher"], "object_poses": ["pushers"]},
+    },
+    {
+        "one push": {"pusher": _PUSHER},
+        "many pushes, in the world": {
+            "pushers": "[[0.325, 0.1, 0.0], [0.4, 0.025, 1.5708]]",
+            "object_poses": "[[0.4, 0.1, 0.0]]",
+            "model": "push-visual",
+        },
+    },
+)
+PUSH_UPLOAD: Final = {"requestBody": {"required": True, "content": {FORM_TYPE: _PUSH_FORM}}}
+IMAGE_UPLOAD: Final = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            FORM_TYPE: _form({}, {}, {"a file": {}}),
+            **{
+                kind: {
+                    "schema": {"type": "string", "format": "binary"},
+                    "examples": {"a file": {"externalValue": f"data:{kind};base64,{_FILES[kind]}"}},
+                }
+                for kind in IMAGE_TYPES
+            },
+        },
+    }
+}

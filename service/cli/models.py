@@ -1,0 +1,255 @@
+"""``cazsl models``: look at a registry."""
+
+import itertools
+import json
+import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime, time
+from typing import Any
+
+import click
+
+from service.cli.terminal import FAILED, json_option, mend, registry_option, say
+from service.errors import CazslError, UnknownModelError
+from service.inference.loaded_models import LoadedModel, load_version
+from service.model.manifest import DEFAULT_ALIAS, Manifest, ModelReference
+from service.model.predictor import OnnxPredictor
+from service.registry.doctor import examine
+from service.registry.location import open_registry
+from service.registry.registry import Registry
+from service.storage.base import Finding
+from service.storage.history import Event
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+def models() -> None:
+    """Look at the registry and change it.
+
+    \b
+    cazsl models list                                       what is published, and what its aliases name
+    cazsl models diff NAME@champion NAME@4                  figures, recipe and data side by side
+    cazsl models promote NAME 4 --reason "new data"         run the gates, then make it the champion
+    cazsl models rollback NAME --reason "robots complain"   back to what the champion was before
+    cazsl models doctor                                     what is wrong here, and what to do
+
+    Exit status: 0 done, 1 failed or broken, 2 wrong command line, 3 refused by a gate, 4 somebody else changed it
+    first or it is in use, 5 no such model, version or alias.
+    """
+
+
+def load(registry: Registry, reference: str) -> LoadedModel:
+    """The version that a reference means, having passed every check.
+
+    Raises:
+        CazslError: there is none, or it is broken.
+    """
+    parsed = ModelReference.parse(reference, "reference")
+    return load_version(registry, OnnxPredictor, parsed.name, registry.resolve(parsed))
+
+
+@models.command("list")
+@json_option
+@registry_option
+@mend
+def list_models(registry: str, as_json: bool) -> None:
+    """Name, versions and aliases of every model."""
+    store = open_registry(registry)
+    states = {name: store.state(name) for name in store.names()}
+    if as_json:
+        say(
+            [
+                {"name": name, "versions": sorted(state.versions), "aliases": dict(sorted(state.aliases.items()))}
+                for name, state in states.items()
+            ]
+        )
+        return
+    for name, state in states.items():
+        aliases = ", ".join(f"{alias} -> {version}" for alias, version in sorted(state.aliases.items())) or "no alias"
+        click.echo(f"{name}  versions {', '.join(map(str, sorted(state.versions))) or 'none'}  {aliases}")
+    if not states:
+        click.echo("no model is published; train and publish one with: make train")
+
+
+@models.command("show")
+@click.argument("reference")
+@json_option
+@registry_option
+@mend
+def show(reference: str, as_json: bool, registry: str) -> None:
+    """The card of a model, or with --json its manifest: NAME, NAME@ALIAS or NAME@VERSION."""
+    store, parsed = open_registry(registry), ModelReference.parse(reference, "reference")
+    version = store.read(parsed.name, store.resolve(parsed))
+    if as_json:
+        say(json.loads(version.manifest.render()))
+    else:
+        click.echo(version.card)
+
+
+@models.command("verify")
+@click.argument("reference", required=False)
+@json_option
+@registry_option
+@mend
+def verify(reference: str | None, as_json: bool, registry: str) -> None:
+    """Check digests, graph, tensors and self-check of one version, or of all; exit status 1 if any fails."""
+    store = open_registry(registry)
+    references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
+    found: list[dict[str, Any]] = []
+    for each in references:
+        try:
+            manifest = load(store, each).manifest
+            found.append({"reference": f"{manifest.name}@{manifest.version}", "ok": True, "detail": None})
+        except UnknownModelError:
+            raise
+        except CazslError as error:
+            found.append({"reference": each, "ok": False, "detail": str(error)})
+    if as_json:
+        say(found)
+    else:
+        for line in found:
+            click.echo(
+                f"{line['reference']}  " + ("ok" if line["ok"] else f"BROKEN  {line['detail']}"), err=not line["ok"]
+            )
+    if not all(line["ok"] for line in found):
+        sys.exit(FAILED)
+
+
+@models.command("diff")
+@click.argument("first")
+@click.argument("second")
+@click.option("--all", "everything", is_flag=True, help="What is the same, too.")
+@json_option
+@registry_option
+@mend
+def diff(first: str, second: str, everything: bool, as_json: bool, registry: str) -> None:
+    """Metrics, calibration, recipe, data and preprocessing of two versions side by side."""
+    store = open_registry(registry)
+    sides = []
+    for reference in (first, second):
+        parsed = ModelReference.parse(reference, "reference")
+        sides.append(_figures(store.read(parsed.name, store.resolve(parsed)).manifest))
+    rows = [(key, sides[0].get(key), sides[1].get(key)) for key in sorted(sides[0].keys() | sides[1].keys())]
+    rows = [row for row in rows if everything or row[1] != row[2]]
+    if as_json:
+        say([{"field": key, "first": before, "second": after} for key, before, after in rows])
+        return
+    if not rows:
+        click.echo("no difference")
+    width = max((len(key) for key, *_ in rows), default=0)
+    for key, before, after in rows:
+        click.echo(f"{key:<{width}}  {_text(before):>24}  {_text(after):>24}  {_change(before, after)}".rstrip())
+
+
+def _figures(manifest: Manifest) -> dict[str, Any]:
+    """What is worth comparing, as flat names; no tensors, no self-check, no digests of files."""
+    document = json.loads(manifest.render())
+    kept = ("method", "context_kind", "code_version", "created", "recipe", "data", "metrics", "calibration")
+    return dict(_flat({key: document[key] for key in (*kept, "normalisation", "image_convention")}, ""))
+
+
+def _flat(value: Any, prefix: str) -> Sequence[tuple[str, Any]]:
+    if isinstance(value, dict):
+        return list(
+            itertools.chain.from_iterable(
+                _flat(part, f"{prefix}.{key}" if prefix else key) for key, part in value.items()
+            )
+        )
+    return [(prefix, value)]
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, list):
+        return "[" + " ".join(map(_text, value)) + "]"
+    return "-" if value is None else str(value)
+
+
+def _change(before: Any, after: Any) -> str:
+    numbers = isinstance(before, int | float) and isinstance(after, int | float)
+    return f"{(after - before) / abs(before):+.1%}" if numbers and before not in (0, after) else ""
+
+
+@models.command("history")
+@click.argument("name")
+@json_option
+@registry_option
+@mend
+def history(name: str, as_json: bool, registry: str) -> None:
+    """Every publish, alias move and removal of a model, and whether the chain holds; exit status 1 if not."""
+    store = open_registry(registry)
+    found, unrecorded = store.history(name), store.unrecorded(name)
+    if as_json:
+        say(
+            {
+                "events": [event.as_document() for event in found.events],
+                "unrecorded": [event.as_document() for event in unrecorded],
+                "problems": list(found.problems),
+            }
+        )
+    else:
+        for event in found.events:
+            click.echo(f"{event.time}  {event.who:<12}  {_sentence(event)}")
+        for event in unrecorded:
+            click.echo(f"not recorded yet: {_sentence(event)}")
+        for problem in found.problems:
+            click.echo(f"PROBLEM  {problem}", err=True)
+    if found.problems:
+        sys.exit(FAILED)
+
+
+def _sentence(event: Event) -> str:
+    moved = [str(version) for version in (event.before, event.to) if version is not None]
+    return f"{event.what} {' -> '.join(moved)}".rstrip() + (f"  ({event.reason})" if event.reason else "")
+
+
+@models.command("at")
+@click.argument("reference", metavar="NAME@ALIAS")
+@click.argument("when")
+@json_option
+@registry_option
+@mend
+def at(reference: str, when: str, as_json: bool, registry: str) -> None:
+    """What an alias named at WHEN: a day (at its end) or a time, ISO 8601, UTC unless it says otherwise."""
+    parsed = ModelReference.parse(reference, "reference")
+    moment = _moment(when)
+    alias = parsed.alias or DEFAULT_ALIAS
+    version = open_registry(registry).alias_at(parsed.name, alias, moment)
+    if version is None:
+        raise UnknownModelError(f"{parsed.name}@{alias} named nothing at {moment.isoformat()}")
+    if as_json:
+        say({"name": parsed.name, "alias": alias, "at": moment.isoformat(), "version": version})
+    else:
+        click.echo(f"{parsed.name}@{version}")
+
+
+def _moment(text: str) -> datetime:
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise click.BadParameter("expected a day or a time, such as 2026-11-01 or 2026-11-01T14:03") from error
+    if len(text) <= len("2026-11-01"):
+        found = datetime.combine(found, time.max)
+    return found if found.tzinfo else found.replace(tzinfo=UTC)
+
+
+@models.command("doctor")
+@json_option
+@registry_option
+@mend
+def doctor(as_json: bool, registry: str) -> None:
+    """Everything that is not as it should be, what it lacks, and what to do; exit status 1 if serving suffers."""
+    found = list(examine(open_registry(registry), OnnxPredictor))
+    if as_json:
+        say([vars(finding) for finding in found])
+    else:
+        for finding in found:
+            click.echo(_advice(finding))
+        if not found:
+            click.echo("all is well")
+    if any(finding.severe for finding in found):
+        sys.exit(FAILED)
+
+
+def _advice(finding: Finding) -> str:
+    return f"{'BROKEN' if finding.severe else 'note  '}  {finding.where}: {finding.wrong}\n        -> {finding.advice}"

@@ -1,0 +1,135 @@
+"""The client for asyncio; see ``service.client``, from where it is imported."""
+
+import asyncio
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Self, TypeVar
+
+import httpx2
+import numpy.typing as npt
+
+from service.client import calls
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, Caller, add_part
+from service.client.calls import Call, Context, Image, Predictions
+from service.client.retries import Retries, retry_after_s
+from service.schemas.predictions import (
+    ModelBody,
+    ModelsBody,
+    ModelVersionDetailBody,
+    PredictResponse,
+    VisualContextBody,
+)
+
+T = TypeVar("T")
+
+
+class AsyncClient(Caller):
+    """The same for asyncio: every method as in ``Client``, to be awaited; one client serves any number of tasks."""
+
+    def __init__(
+        self,
+        url: str = DEFAULT_URL,
+        *,
+        key: str | None = None,
+        timeout_s: float = 10.0,
+        retries: Retries | None = None,
+        http: httpx2.AsyncClient | None = None,
+    ) -> None:
+        super().__init__(url, key, timeout_s, retries)
+        self._http = http or httpx2.AsyncClient()
+
+    @classmethod
+    def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
+        """See ``Client.local``; predictions run in threads."""
+        from service.client.local import InProcess  # as in Client
+
+        http = httpx2.AsyncClient(transport=InProcess.over(registry, require_signature))
+        return cls(IN_PROCESS_URL, retries=ONE_ATTEMPT, http=http)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self._http.aclose()
+
+    async def predict(
+        self,
+        pusher: npt.ArrayLike,
+        context: Context | None = None,
+        *,
+        model: str | None = None,
+        object_pose: npt.ArrayLike | None = None,
+    ) -> PredictResponse:
+        """See ``Client.predict``."""
+        return await self._send(calls.predict(pusher, context, model, object_pose))
+
+    async def predict_batch(
+        self,
+        pushers: npt.ArrayLike,
+        contexts: Context | Sequence[Context] | None = None,
+        context_index: npt.ArrayLike | None = None,
+        *,
+        model: str | None = None,
+        object_poses: npt.ArrayLike | None = None,
+    ) -> Predictions:
+        """See ``Client.predict_batch``."""
+        return await self._send(calls.predict_batch(pushers, contexts, context_index, model, object_poses))
+
+    async def predict_image(
+        self,
+        image: Image,
+        pushers: npt.ArrayLike,
+        *,
+        model: str | None = None,
+        object_poses: npt.ArrayLike | None = None,
+    ) -> Predictions:
+        """See ``Client.predict_image``."""
+        return await self._send(calls.predict_image(image, pushers, model, object_poses))
+
+    async def make_context(self, image: Image) -> VisualContextBody:
+        """See ``Client.make_context``."""
+        return await self._send(calls.make_context(image))
+
+    async def list_models(self) -> ModelsBody:
+        """See ``Client.list_models``."""
+        return await self._send(calls.list_models())
+
+    async def show_model(self, name: str) -> ModelBody:
+        """See ``Client.show_model``."""
+        return await self._send(calls.show_model(name))
+
+    async def show_version(self, name: str, version: int) -> ModelVersionDetailBody:
+        """See ``Client.show_version``."""
+        return await self._send(calls.show_version(name, version))
+
+    async def _send(self, call: Call[T]) -> T:
+        attempt = 0
+        while True:
+            attempt += 1
+            response, content = await self._exchange(call)
+            pause_s = self._pause_s(attempt, response)
+            if pause_s is None:
+                return call.read(response.status_code, content, retry_after_s(response.headers.get("retry-after")))
+            await asyncio.sleep(pause_s)
+
+    async def _exchange(self, call: Call[T]) -> tuple[httpx2.Response, bytes]:
+        """One attempt, bounded as a whole."""
+        content = bytearray()
+        try:
+            async with (
+                asyncio.timeout(self._timeout_s),
+                self._http.stream(**self._request(call)) as response,
+            ):
+                async for part in response.aiter_raw():
+                    add_part(content, part)
+        except (TimeoutError, httpx2.TimeoutException) as error:
+            raise self._late() from error
+        except httpx2.TransportError as error:
+            raise self._unreachable(error) from error
+        return response, bytes(content)

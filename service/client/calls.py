@@ -1,0 +1,266 @@
+"""What a client may ask, without saying how it is sent: arrays and files to requests, answers to arrays and bodies.
+
+Both clients, blocking and asyncio, send these; so does the one in process.
+"""
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any, Final, Generic, Literal, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import orjson
+from pydantic import ValidationError
+
+from service.client.errors import ProblemError, UnreadableAnswerError
+from service.errors import FieldFault
+from service.schemas.contexts import ContextBody
+from service.schemas.predictions import (
+    BatchResponse,
+    Body,
+    ModelBody,
+    ModelsBody,
+    ModelVersionBody,
+    ModelVersionDetailBody,
+    PredictResponse,
+    ProblemBody,
+    VisualContextBody,
+)
+
+T = TypeVar("T")
+B = TypeVar("B", bound=Body)
+Numbers = npt.NDArray[np.floating[Any]]
+Context = str | ContextBody | VisualContextBody
+"""What is known of an object: a descriptor, any form of ``ContextBody``, or what ``make_context`` saw in an image."""
+Image = bytes | str | os.PathLike[str]
+"""The content of a PNG, JPEG or WebP file, or where the file is."""
+_POSE_PARTS: Final = 3
+_REAL_KINDS: Final = "fiu"
+_PHRASES: Final = {int(status): status.phrase for status in HTTPStatus}
+_JSON: Final = {"Content-Type": "application/json"}
+
+
+@dataclass(frozen=True, slots=True)
+class Predictions:
+    """Gaussians over the object's pose after each push, in the order of the request.
+
+    Attributes:
+        model: which model and version answered.
+        frame: ``object`` or ``world``, of all poses here.
+        mean: (n, 3) x, y, angle in m, m, rad; the angle in (-pi, pi].
+        std: (n, 3) standard deviations in m, m, rad.
+        covariance: (n, 3, 3) in the world frame, where x and y go together; else None.
+
+    The numbers are float32 in the object's frame, exactly the model's, and float64 in the world.
+    """
+
+    model: ModelVersionBody
+    frame: Literal["object", "world"]
+    mean: Numbers
+    std: Numbers
+    covariance: Numbers | None
+
+
+@dataclass(frozen=True, slots=True)
+class Call(Generic[T]):
+    """One request, and how its answer is read."""
+
+    method: str
+    path: str
+    parse: Callable[[bytes], T]
+    body: Mapping[str, Any]
+    """As httpx takes it: ``content`` and ``headers``, or ``data`` and ``files``."""
+
+    def read(self, status: int, content: bytes, retry_after_s: float | None) -> T:
+        """The answer.
+
+        Raises:
+            ProblemError: it is a refusal.
+            UnreadableAnswerError: it is no answer of the service.
+        """
+        if status != HTTPStatus.OK:
+            raise _problem(status, content, retry_after_s)
+        try:
+            return self.parse(content)
+        except ValidationError as error:
+            fault = error.errors(include_url=False, include_input=False)[0]
+            where = ".".join(str(part) for part in fault["loc"]) or "the answer"
+            raise UnreadableAnswerError(
+                f"{self.path} answered something else: {where}: {fault['msg']}; is this a CAZSL service?"
+            ) from error
+
+
+def predict(
+    pusher: npt.ArrayLike, context: Context | None, model: str | None, object_pose: npt.ArrayLike | None
+) -> Call[PredictResponse]:
+    """One push."""
+    document: dict[str, Any] = {"pusher": _pose(pusher, "pusher"), **_asked(model)}
+    if context is not None:
+        document["context"] = _context(context)
+    if object_pose is not None:
+        document["object_pose"] = _pose(object_pose, "object_pose")
+    return _post("/v1/predict", document, _reader(PredictResponse))
+
+
+def predict_batch(
+    pushers: npt.ArrayLike,
+    contexts: Context | Sequence[Context] | None,
+    context_index: npt.ArrayLike | None,
+    model: str | None,
+    object_poses: npt.ArrayLike | None,
+) -> Call[Predictions]:
+    """Many pushes."""
+    rows = _rows(pushers, "pushers")
+    document: dict[str, Any] = {"pushers": rows, **_asked(model)}
+    if contexts is not None:
+        several = [contexts] if isinstance(contexts, Context) else contexts
+        document["contexts"] = [_context(context) for context in several]
+    if context_index is not None:
+        document["context_index"] = _places(context_index)
+    if object_poses is not None:
+        document["object_poses"] = _rows(object_poses, "object_poses")
+    return _post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)))
+
+
+def predict_image(
+    image: Image, pushers: npt.ArrayLike, model: str | None, object_poses: npt.ArrayLike | None
+) -> Call[Predictions]:
+    """Many pushes of the object in an image."""
+    rows = _rows(pushers, "pushers")
+    fields = {"pushers": _dump(rows), **_asked(model)}
+    if object_poses is not None:
+        fields["object_poses"] = _dump(_rows(object_poses, "object_poses"))
+    body = {"data": fields, "files": {"image": ("image", _image(image))}}
+    return Call("POST", "/v1/predict/image", lambda content: _predictions(content, len(rows)), body)
+
+
+def make_context(image: Image) -> Call[VisualContextBody]:
+    """What a model sees of an image."""
+    return Call("POST", "/v1/contexts", _reader(VisualContextBody), {"files": {"image": ("image", _image(image))}})
+
+
+def list_models() -> Call[ModelsBody]:
+    """What is served."""
+    return Call("GET", "/v1/models", _reader(ModelsBody), {})
+
+
+def show_model(name: str) -> Call[ModelBody]:
+    """One model."""
+    return Call("GET", f"/v1/models/{_segment(name)}", _reader(ModelBody), {})
+
+
+def show_version(name: str, version: int) -> Call[ModelVersionDetailBody]:
+    """One version, with its manifest and card."""
+    return Call("GET", f"/v1/models/{_segment(name)}/versions/{version:d}", _reader(ModelVersionDetailBody), {})
+
+
+def _post(path: str, document: dict[str, Any], parse: Callable[[bytes], T]) -> Call[T]:
+    return Call("POST", path, parse, {"content": _dump(document), "headers": _JSON})
+
+
+def _dump(document: object) -> bytes:
+    return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+def _asked(model: str | None) -> dict[str, Any]:
+    return {} if model is None else {"model": model}
+
+
+def _segment(name: str) -> str:
+    """A model's name as a part of a path: anything else would ask for another route."""
+    if not name or not all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name):
+        raise ProblemError.unsendable("name", "no name of a model", "letters, digits, _ and -")
+    return name
+
+
+def _context(context: Context) -> dict[str, Any]:
+    match context:
+        case str():
+            return {"descriptor": context}
+        case VisualContextBody():
+            return {"visual": context.visual}
+        case _:
+            return context.model_dump(exclude_none=True)
+
+
+def _pose(pose: npt.ArrayLike, where: str) -> dict[str, float]:
+    parts = _finite(pose, where)
+    if parts.shape != (_POSE_PARTS,):
+        raise ProblemError.unsendable(where, f"shape {parts.shape}", "three numbers: x and y in m, angle in rad")
+    return dict(zip(("x", "y", "angle"), parts.tolist(), strict=True))
+
+
+def _rows(poses: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
+    rows = _finite(poses, where)
+    if rows.ndim != 2 or rows.shape[1] != _POSE_PARTS:
+        raise ProblemError.unsendable(where, f"shape {rows.shape}", "shape (n, 3): x and y in m, angle in rad")
+    return rows
+
+
+def _finite(numbers: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
+    """The numbers in float64, in rows; JSON has no NaN, and writing null for it would have the service guess."""
+    try:
+        given = np.asarray(numbers)
+    except ValueError as error:
+        raise ProblemError.unsendable(where, "rows of several lengths", "an array of real numbers") from error
+    if given.dtype.kind not in _REAL_KINDS:
+        raise ProblemError.unsendable(where, f"an array of {given.dtype}", "an array of real numbers")
+    found = np.asarray(given, dtype=np.float64, order="C")
+    wrong = np.argwhere(~np.isfinite(found))
+    if len(wrong):
+        place = ".".join(str(int(part)) for part in wrong[0])
+        raise ProblemError.unsendable(f"{where}.{place}", "a number that is not finite", "finite numbers")
+    return found
+
+
+def _places(index: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    found = np.asarray(index)
+    if found.ndim != 1 or not np.issubdtype(found.dtype, np.integer):
+        received = f"shape {found.shape} of {found.dtype}"
+        raise ProblemError.unsendable("context_index", received, "shape (n,) of integers: one per push")
+    return np.ascontiguousarray(found, dtype=np.int64)
+
+
+def _image(image: Image) -> bytes:
+    return image if isinstance(image, bytes) else Path(image).read_bytes()
+
+
+def _reader(kind: type[B]) -> Callable[[bytes], B]:
+    """Fields that a later service adds are left alone; those that are there are checked."""
+    return lambda content: kind.model_validate_json(content, extra="ignore")
+
+
+def _predictions(content: bytes, count: int) -> Predictions:
+    body = BatchResponse.model_validate_json(content, extra="ignore")
+    kind = np.float32 if body.frame == "object" else np.float64
+    return Predictions(
+        body.model,
+        body.frame,
+        _array(body.mean, (count, _POSE_PARTS), kind),
+        _array(body.std, (count, _POSE_PARTS), kind),
+        None if body.covariance is None else _array(body.covariance, (count, _POSE_PARTS, _POSE_PARTS), kind),
+    )
+
+
+def _array(rows: Sequence[Any], shape: tuple[int, ...], kind: type[np.floating[Any]]) -> Numbers:
+    try:
+        found = np.array(rows, dtype=kind)
+    except ValueError as error:
+        raise UnreadableAnswerError("the answer has rows of several lengths") from error
+    if found.shape != shape:
+        raise UnreadableAnswerError(f"the answer has numbers of shape {found.shape}, not {shape}")
+    return found
+
+
+def _problem(status: int, content: bytes, retry_after_s: float | None) -> ProblemError:
+    try:
+        body = ProblemBody.model_validate_json(content, extra="ignore")
+    except ValidationError:
+        phrase = _PHRASES.get(status, "a status without a name")
+        detail = f"{status} ({phrase}) without a problem that explains it: is this CAZSL, or a proxy before it?"
+        return ProblemError("unexplained", detail, status, phrase, retry_after_s=retry_after_s)
+    faults = [FieldFault(fault.where, fault.received, fault.accepted) for fault in body.errors]
+    return ProblemError(body.code, body.detail, status, body.title, faults, body.request_id, retry_after_s)

@@ -1,0 +1,60 @@
+"""A registry from the text that names it: a folder, or ``s3://bucket/prefix``."""
+
+import os
+from pathlib import Path
+from typing import Final
+
+from service.errors import RegistryError
+from service.registry.registry import Registry
+from service.registry.verification import MAX_MODEL_BYTES, Signatures
+from service.storage.base import Storage
+
+S3_SCHEME: Final = "s3://"
+
+
+def open_registry(
+    location: str,
+    signatures: Signatures | None = None,
+    max_model_bytes: int = MAX_MODEL_BYTES,
+    cache: Path | None = None,
+) -> Registry:
+    """The registry at a location; nothing is read yet.
+
+    Raises:
+        RegistryError: the location cannot be one, or what it needs is not installed.
+    """
+    return Registry(_storage(location, cache), signatures, max_model_bytes)
+
+
+def trusted_keys(paths: str) -> Signatures | None:
+    """Whoever demands a signature by one of these public keys, PEM files separated as in PATH; None for no keys.
+
+    Raises:
+        RegistryError: a key cannot be read, or what it needs is not installed.
+    """
+    keys = tuple(Path(part) for part in paths.split(os.pathsep) if part)
+    if not keys:
+        return None
+    try:  # a dependency of 50 MiB in memory that only those pay who demand signatures
+        from service.registry.signing import TrustedKeys
+    except ImportError as error:
+        raise RegistryError("signatures need the extra 'signing': pip install 'cazsl[signing]'") from error
+    for key in keys:
+        try:
+            if b"PUBLIC KEY" not in key.read_bytes():
+                raise RegistryError(f"{key.name} is not a public key in PEM")
+        except OSError as error:
+            raise RegistryError(f"{key.name} cannot be read: {error.strerror}") from error
+    return TrustedKeys(keys)
+
+
+def _storage(location: str, cache: Path | None) -> Path | Storage:
+    if location.startswith(S3_SCHEME):
+        try:  # a dependency that only buckets need
+            from service.storage.bucket_storage import ObjectStorage
+        except ImportError as error:
+            raise RegistryError("a registry in a bucket needs the extra 's3': pip install 'cazsl[s3]'") from error
+        return ObjectStorage.at(location, cache)
+    if "://" in location:
+        raise RegistryError("a registry is a folder or s3://bucket/prefix")
+    return Path(location)

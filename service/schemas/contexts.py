@@ -1,0 +1,156 @@
+"""What is known of an object, as clients tell it: text, bits, levels or a picture, to ``contract``."""
+
+import base64
+import binascii
+import math
+from typing import Annotated, Any, Final
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from service.errors import FieldFault, InvalidRequestError
+from service.pushing.contexts import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
+from service.pushing.images import decode, quality_flags, thumbnail_png, visual_context
+from service.schemas.predictions import Body, VisualContextBody
+
+INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
+    "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
+    "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
+)
+_VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
+# for the document only: our own words say which side is wrong, and why
+_DESCRIPTOR: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
+_INDICATOR: Final[dict[str, Any]] = {
+    "items": {"enum": [0, 1]},
+    "contains": {"const": 1},
+    "minContains": 2 * SIDES,
+    "maxContains": 2 * SIDES,
+}
+_VISUAL: Final[dict[str, Any]] = {  # the text's rules mean nothing to rows, and those of rows nothing to a text
+    "contentEncoding": "base64",
+    "pattern": f"^[A-Za-z0-9+/]{{{_VISUAL_TEXT_LENGTH - 2}}}==$",
+    "minItems": VISUAL_SIZE,
+    "maxItems": VISUAL_SIZE,
+    "items": {"minItems": VISUAL_SIZE, "maxItems": VISUAL_SIZE, "items": {"minimum": 0, "maximum": 1}},
+}
+
+
+def _one_form(schema: dict[str, Any]) -> None:
+    """Say in the document that exactly one of the fields is given, and is not null."""
+    schema["oneOf"] = [
+        {"required": [form], "properties": {form: {"not": {"type": "null"}}}} for form in schema["properties"]
+    ]
+
+
+class ContextBody(Body):
+    """What is known of the object, in exactly one form."""
+
+    model_config = ConfigDict(json_schema_extra=_one_form)
+
+    descriptor: Annotated[
+        str | None,
+        Field(
+            description="four sides, each a shape digit (1 concave, 2 triangular, 3 circular, 4 rectangular) and a "
+            "weight letter (a none, b 60 g, c 150 g; B 60 g, C 150 g in a triangle's second position)",
+            examples=["1a2b3c4a"],
+            json_schema_extra=_DESCRIPTOR,
+        ),
+    ] = None
+    indicator: Annotated[
+        list[float] | None,
+        Field(
+            min_length=INDICATOR_LENGTH,
+            max_length=INDICATOR_LENGTH,
+            description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
+            examples=[INDICATOR_EXAMPLE],
+            json_schema_extra=_INDICATOR,
+        ),
+    ] = None
+    visual: Annotated[
+        str | list[list[float]] | None,
+        Field(
+            description="the visual context itself: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
+            "in [0, 1]; POST /v1/contexts makes one of an image",
+            examples=["AAAA" * (_VISUAL_TEXT_LENGTH // 4 - 1) + "AA=="],
+            json_schema_extra=_VISUAL,
+        ),
+    ] = None
+
+    image: Annotated[
+        str | None,
+        Field(
+            description="base64 of a top-down view as PNG, JPEG or WebP, converted to the visual context; POST "
+            "/v1/predict/image takes the file as it is",
+            examples=[IMAGE_EXAMPLE],
+            json_schema_extra={"contentEncoding": "base64"},
+        ),
+    ] = None
+
+    @property
+    def only_descriptor(self) -> str | None:
+        """The descriptor, where that is the one form given: the form that is known by heart."""
+        others = (self.indicator, self.visual, self.image)
+        return self.descriptor if others == (None, None, None) else None
+
+    def to_contract(self, where: str = "body.context") -> ObjectContext | VisualContext:
+        """The object.
+
+        Raises:
+            InvalidRequestError: not exactly one form, or a form that cannot be one.
+            ImageTooLargeError, UnsupportedImageError: as ``images.decode``.
+        """
+        given = [name for name in _FORMS if getattr(self, name) is not None]
+        if len(given) != 1:
+            received = " and ".join(given) or "no form"
+            raise InvalidRequestError([FieldFault(where, received, f"exactly one of {', '.join(_FORMS)}")])
+        if self.descriptor is not None:
+            return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
+        if self.indicator is not None:
+            return ObjectContext.from_indicator(self.indicator, f"{where}.indicator")
+        if self.image is not None:
+            return visual_context(decode(_decode_base64(self.image, f"{where}.image"), where=f"{where}.image"))
+        if isinstance(self.visual, str):
+            return VisualContext.from_bytes(_decode_base64(self.visual, f"{where}.visual"), f"{where}.visual")
+        return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual")
+
+
+_FORMS: Final = tuple(ContextBody.model_fields)
+
+
+def describe_image(content: bytes) -> VisualContextBody:
+    """What a model sees of an image file, and what looks wrong in it; blocking: it decodes.
+
+    Raises:
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: as ``images.decode``.
+    """
+    context = visual_context(decode(content))
+    return VisualContextBody(
+        visual=base64.b64encode(context.levels).decode(),
+        thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
+        flags=[flag.value for flag in quality_flags(context)],
+    )
+
+
+def _decode_base64(text: str, where: str) -> bytes:
+    """The bytes that a text stands for.
+
+    Raises:
+        InvalidRequestError: it is not base64 with its padding.
+    """
+    try:
+        return base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError) as error:
+        received = f"a text of {len(text)} characters that is not base64"
+        raise InvalidRequestError([FieldFault(where, received, "base64 with its padding (RFC 4648)")]) from error
+
+
+def _levels(rows: list[list[float]], where: str) -> bytes:
+    """Grey levels of rows of numbers in [0, 1]."""
+    if len(rows) != VISUAL_SIZE or any(len(row) != VISUAL_SIZE for row in rows):
+        received = f"{len(rows)} rows"
+        raise InvalidRequestError([FieldFault(where, received, f"{VISUAL_SIZE} rows of {VISUAL_SIZE} numbers")])
+    grey = np.array(rows)
+    if not (grey.min() >= 0.0 and grey.max() <= 1.0):
+        raise InvalidRequestError([FieldFault(where, "a number outside [0, 1]", "0 (black) to 1 (white)")])
+    return np.floor(grey * 255.0 + 0.5).astype(np.uint8).tobytes()

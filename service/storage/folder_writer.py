@@ -1,0 +1,156 @@
+"""One change to one model on a plain disk, made by whoever holds the lock on its history."""
+
+import contextlib
+import getpass
+import hashlib
+import os
+import secrets
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Final
+
+from service.errors import RegistryError
+from service.model.manifest import MANIFEST_FILE
+from service.storage.disk import discard, must_be_folder, reason, sync, write_all, write_synced
+from service.storage.history import PUBLISH, REPAIR, SIGN, Event, History, ModelState, unrecorded
+
+ALIASES: Final = "aliases"
+REMOVED: Final = "removed"
+SIGNATURES: Final = "signatures"
+STAGING_PREFIX: Final = ".staging-"
+
+
+class FolderWriter:
+    """The only writer of a model's folder while it lives: ``put_right`` first, then one change."""
+
+    def __init__(self, folder: Path, descriptor: int, history: History, state: Callable[[], ModelState]) -> None:
+        self._folder = folder
+        self._descriptor = descriptor  # of the history, open for appending
+        self._history = history
+        self._state = state
+        self.state = ModelState()
+
+    def put_right(self) -> None:
+        """Sweep staging, finish removals, cut a torn line, record what nobody recorded."""
+        for entry in self._folder.iterdir():
+            if entry.name.startswith(STAGING_PREFIX):
+                discard(entry)
+        self.state = self._state()
+        for version in self.state.removed - self.state.versions:
+            self._empty(version)
+        if self._history.torn_bytes:
+            size = os.fstat(self._descriptor).st_size
+            os.ftruncate(self._descriptor, size - self._history.torn_bytes)
+            self._record(Event(REPAIR, None, None, reason=self._history.problems[-1]))
+        for event in unrecorded(self._history.state(), self.state):
+            self._record(event)
+
+    def publish(self, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None) -> int:
+        """Stage, sync, rename, record."""
+        recorded = self._history.state()
+        known = ModelState(self.state.versions | recorded.versions, removed=self.state.removed | recorded.removed)
+        version = known.free(number)
+        content = manifest(version)
+        with self._staging() as staging:
+            staging.mkdir()
+            for file, part in (*files.items(), (MANIFEST_FILE, content)):
+                write_synced(staging / file, part)
+            sync(staging)
+            staging.rename(self._folder / str(version))
+        event = Event(PUBLISH, None, version, manifest=hashlib.sha256(content).hexdigest())
+        with self._visible(event):
+            sync(self._folder)
+            sync(self._folder.parent)
+            self._record(event)
+        return version
+
+    def commit(self, event: Event) -> Event:
+        """Make an alias move or a removal happen."""
+        if event.alias is not None:
+            folder = self._folder / ALIASES
+            if event.to is not None:
+                self.put(ALIASES, event.alias, f"{event.to}\n".encode())
+            else:
+                with self._staging() as staging:  # by way of the model's folder, for whoever watches it
+                    (folder / event.alias).rename(staging)
+        else:
+            folder = self._folder / REMOVED
+            folder.mkdir(exist_ok=True)
+            (self._folder / str(event.before)).rename(folder / str(event.before))
+        with self._visible(event):
+            sync(folder)
+            sync(self._folder)
+            recorded = self._record(event)
+        if event.alias is None and event.before is not None:
+            self._empty(event.before)
+        return recorded
+
+    def sign(self, version: int, signature: bytes) -> None:
+        """Store a signature beside the version."""
+        self.put(SIGNATURES, str(version), signature)
+        with self._visible(event := Event(SIGN, None, version)):
+            sync(self._folder / SIGNATURES)
+            self._record(event)
+
+    def put(self, folder: str, file: str, content: bytes) -> None:
+        """Create or replace a small file in a folder of the model."""
+        target = self._folder / folder
+        target.mkdir(exist_ok=True)
+        must_be_folder(target)
+        with self._staging() as staging:
+            write_synced(staging, content)
+            staging.rename(target / file)
+
+    def _empty(self, version: int) -> None:
+        """What stays of a removed version is its manifest; what cannot be deleted now is tried again next time."""
+        folder = self._folder / REMOVED / str(version)
+        with contextlib.suppress(OSError):
+            (self._folder / SIGNATURES / str(version)).unlink(missing_ok=True)
+            for entry in folder.iterdir():
+                if entry.name != MANIFEST_FILE:
+                    discard(entry)
+
+    @contextlib.contextmanager
+    def _staging(self) -> Iterator[Path]:
+        """A path beside the target, gone afterwards."""
+        path = self._folder / f"{STAGING_PREFIX}{secrets.token_hex(8)}"
+        try:
+            yield path
+        finally:
+            with contextlib.suppress(OSError):
+                discard(path)
+
+    @contextlib.contextmanager
+    def _visible(self, event: Event) -> Iterator[None]:
+        """From here on the change is there, whatever the disk says."""
+        try:
+            yield
+        except OSError as error:
+            which = event.before if event.to is None else event.to
+            raise RegistryError(
+                f"{self._folder.name}: {event.what} of {which} is done, and could not be recorded: {reason(error)}; "
+                "the next change records it"
+            ) from error
+
+    def _record(self, event: Event) -> Event:
+        """Append a line, whole or not at all."""
+        signed = event.signed_off(user(), self._history.head)
+        line = signed.render()
+        size = os.fstat(self._descriptor).st_size
+        try:
+            write_all(self._descriptor, line)
+            os.fsync(self._descriptor)
+        except OSError:
+            os.ftruncate(self._descriptor, size)
+            raise
+        events = (*self._history.events, signed)
+        self._history = History(events, head=hashlib.sha256(line).hexdigest())
+        return signed
+
+
+def user() -> str:
+    """Who changes something, for the history."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container's user without an entry in passwd
+        return str(os.getuid())

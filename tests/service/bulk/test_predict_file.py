@@ -1,0 +1,287 @@
+"""Files of pushes: whole, in order, the same to the bit whoever predicts them, and a bad row is named."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from click.testing import CliRunner, Result
+
+from service.bulk.chunk import CHUNK_ROWS, PREDICTED_COLUMNS, ModelParts
+from service.bulk.executors import LocalCores, LocalThreads, ThisProcess, Workforce
+from service.bulk.parquet_file import PushFile
+from service.bulk.predict_file import predict_file
+from service.cli.main import main
+from service.client import Client
+from service.pushing.contexts import ContextKind
+from service.registry.registry import Registry
+from tests.clusters import LosesNode, TwoNodes
+
+ROWS = 9 * CHUNK_ROWS + 17
+OBJECTS = np.array([f"{a}a{b}b4c1a" for a in "1234" for b in "1234"])
+
+
+def table(rows: int, **columns: Any) -> pa.Table:
+    """Pushes all around 16 objects; columns may be replaced, or left out by None."""
+    rng = np.random.default_rng(7)
+    found = {
+        "number": np.arange(rows),
+        "x_m": rng.uniform(-0.1, 0.1, rows),
+        "y_m": rng.uniform(-0.1, 0.1, rows),
+        "angle_rad": rng.uniform(-9.0, 9.0, rows),
+        "descriptor": OBJECTS[rng.integers(len(OBJECTS), size=rows)],
+        **columns,
+    }
+    return pa.table({name: column for name, column in found.items() if column is not None})
+
+
+def with_value(name: str, row: int, value: object) -> pa.Table:
+    """Pushes with one value replaced."""
+    column = table(100)[name].to_pylist()
+    column[row] = value
+    return table(100, **{name: pa.array(column)})
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A file of ten chunks, the last one short."""
+    path = tmp_path_factory.mktemp("source") / "pushes.parquet"
+    pq.write_table(table(ROWS), path, row_group_size=1000)
+    return path
+
+
+@pytest.fixture(scope="module")
+def model(project_root: Path) -> ModelParts:
+    """The model that ships for descriptors."""
+    verified = Registry(project_root / "models").read("push-indicator", 2)
+    return ModelParts(verified.manifest, verified.model)
+
+
+@pytest.fixture(scope="module")
+def expected(source: Path, model: ModelParts) -> bytes:
+    """What one process writes."""
+    return written(source, source.with_name("expected.parquet"), model, ThisProcess())
+
+
+def written(source: Path, target: Path, model: ModelParts, workforce: Workforce) -> bytes:
+    """The bytes of a file of predictions."""
+    done: list[int] = []
+    pushes = PushFile(source)
+    predict_file(pushes, target, model, workforce, done.append)
+    assert sum(done) == pushes.rows
+    return target.read_bytes()
+
+
+def predict(source: pa.Table | Path, target: Path, registry: Path, *options: str) -> Result:
+    """Run the command as a person would, over a file or a table that is made one."""
+    if isinstance(source, pa.Table):
+        path = target.with_name("in.parquet")
+        pq.write_table(source, path)
+        source = path
+    arguments = ["predict", "--parquet", str(source), str(target), "--jobs", "1", "--registry", str(registry), *options]
+    return CliRunner().invoke(main, arguments)
+
+
+@pytest.fixture
+def registry(project_root: Path) -> Path:
+    """The registry that ships."""
+    return project_root / "models"
+
+
+def test_rows_keep_their_order_and_get_what_the_service_answers(
+    source: Path, expected: bytes, project_root: Path
+) -> None:
+    """Every column is kept; predictions are those of a request, up to rounding."""
+    found, given = pq.read_table(pa.BufferReader(expected)), pq.read_table(source)
+    assert found.select(given.schema.names).equals(given)
+    rows = slice(CHUNK_ROWS - 50, CHUNK_ROWS + 50)
+    few = given.slice(rows.start, 100)
+    with Client.local(str(project_root / "models")) as client:
+        answer = client.predict_batch(
+            np.column_stack([few[name] for name in ("x_m", "y_m", "angle_rad")]), few["descriptor"].to_pylist()
+        )
+    predicted = np.column_stack([found[name].to_numpy()[rows] for name in PREDICTED_COLUMNS])
+    np.testing.assert_allclose(predicted, np.hstack([answer.mean, answer.std]), rtol=1e-4, atol=1e-6)
+
+
+def test_the_file_says_which_model_made_it(expected: bytes) -> None:
+    """Name and version, and the frame of all poses."""
+    said = pq.read_schema(pa.BufferReader(expected)).metadata
+    assert {key: said[key.encode()] for key in ("cazsl.model", "cazsl.version", "cazsl.frame")} == {
+        "cazsl.model": b"push-indicator",
+        "cazsl.version": b"2",
+        "cazsl.frame": b"object",
+    }
+
+
+@pytest.mark.parametrize("workforce", [LocalThreads(3), LocalCores(2)], ids=["threads", "processes"])
+def test_several_workers_write_the_same_bytes(
+    source: Path, expected: bytes, model: ModelParts, tmp_path: Path, workforce: Workforce
+) -> None:
+    """As one."""
+    assert written(source, tmp_path / "out.parquet", model, workforce) == expected
+
+
+def test_a_cluster_that_loses_a_node_writes_the_same_bytes(
+    source: Path, expected: bytes, model: ModelParts, two_nodes: TwoNodes, tmp_path: Path
+) -> None:
+    """Half-way, while both nodes predict."""
+    workforce = LosesNode(two_nodes, tmp_path, held=5)
+    assert written(source, tmp_path / "out.parquet", model, workforce) == expected
+    assert workforce.done_twice() == 1
+
+
+def test_the_command_uses_the_cluster_that_it_is_given(
+    source: Path, expected: bytes, ray_cluster: TwoNodes, tmp_path: Path, registry: Path
+) -> None:
+    """The same bytes again, and the line at the end says by whom."""
+    target = tmp_path / "out.parquet"
+    arguments = ["predict", "--parquet", str(source), str(target), "--ray", ray_cluster.address]
+    result = CliRunner().invoke(main, [*arguments, "--registry", str(registry)])
+    assert result.exit_code == 0, result.output
+    assert f"Ray at {ray_cluster.address}" in result.stdout
+    assert target.read_bytes() == expected
+
+
+def test_the_command_says_how_fast_it_was_and_what_comes_next(tmp_path: Path, registry: Path) -> None:
+    """Rows, model, rows per second, where to look."""
+    result = predict(table(100), tmp_path / "out.parquet", registry)
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("100 pushes by push-indicator@2 in ")
+    assert " rows/s, 1 job\nnext: read " in result.stdout
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.parquet", "out.parquet"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "by"),
+    [
+        ({"descriptor": None}, (), "push-none@1"),
+        ({"descriptor": pa.array(["1a2b3c4a"] * 5).dictionary_encode()}, (), "push-indicator@2"),
+        ({"descriptor": None, "visual": [bytes(1024)] * 5}, (), "push-visual@1"),
+        ({"descriptor": None, "visual": pa.array([bytes(1024)] * 5, pa.binary(1024))}, (), "push-visual@1"),
+        ({"visual": [bytes(1024)] * 5}, ("--model", "push-visual"), "push-visual@1"),
+        ({"x_m": np.zeros(5, dtype=np.float32), "y_m": np.zeros(5, dtype=int)}, (), "push-indicator@2"),
+        ({}, ("--model", "push-indicator@1"), "push-indicator@1"),
+        ({}, ("--model", "push-none"), "push-none@1"),
+    ],
+    ids=["no object", "categories", "views", "views of fixed size", "both", "other numbers", "version", "ignored"],
+)
+def test_the_columns_and_the_option_say_which_model_predicts(
+    columns: dict[str, Any], options: tuple[str, ...], by: str, tmp_path: Path, registry: Path
+) -> None:
+    """The champion for what is known of the objects, unless one is named."""
+    result = predict(table(5, **columns), tmp_path / "out.parquet", registry, *options)
+    assert result.exit_code == 0, result.output
+    assert f"5 pushes by {by} in " in result.stdout
+    assert pq.read_table(tmp_path / "out.parquet").num_rows == 5
+
+
+def test_no_pushes_are_predicted_as_none(tmp_path: Path, registry: Path) -> None:
+    """A file without rows gets one without rows."""
+    result = predict(table(5).slice(0, 0), tmp_path / "out.parquet", registry)
+    assert result.exit_code == 0, result.output
+    assert pq.read_schema(tmp_path / "out.parquet").names[-6:] == [*PREDICTED_COLUMNS]
+
+
+@pytest.mark.parametrize(
+    ("pushes", "message"),
+    [
+        (
+            with_value("x_m", 17, float("nan")),
+            "row 17 (counted from 0), column x_m: received nan; accepted is a finite",
+        ),
+        (
+            with_value("angle_rad", 3, float("-inf")),
+            "row 3 (counted from 0), column angle_rad: received -inf; accepted",
+        ),
+        (with_value("y_m", 99, None), "row 99 (counted from 0), column y_m: received nothing; accepted is a finite"),
+        (with_value("y_m", 5, 1.5), "row 5 (counted from 0), column y_m: received 1.5 m; accepted is -1 to 1 m"),
+        (with_value("descriptor", 8, "1a2b"), "row 8 (counted from 0), column descriptor: received 4 characters"),
+        (with_value("descriptor", 8, "1a2b3c5a"), "column descriptor side 4: received an unknown shape; accepted is"),
+        (with_value("descriptor", 8, None), "row 8 (counted from 0), column descriptor: received nothing; accepted is"),
+        (table(5, descriptor=None, visual=[b"short"] * 5), "row 0 (counted from 0), column visual: received 5 bytes"),
+        (
+            table(5, x_m=None),
+            "received 0 columns x_m among number, y_m, angle_rad, descriptor; accepted is a column of",
+        ),
+        (table(5, x_m=["a"] * 5), "column x_m: received string; accepted is a column of numbers"),
+        (table(5, descriptor=[1] * 5), "column descriptor: received int64; accepted is a column of text"),
+        (
+            table(5, visual=[b""] * 5),
+            "received columns descriptor and visual; accepted is one of them, or a model named",
+        ),
+        (table(5, std_x_m=[1.0] * 5), "received column std_x_m; accepted is a table without it"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_predicted_is_named(pushes: pa.Table, message: str, tmp_path: Path, registry: Path) -> None:
+    """Row, column, what stands there and what may; one line, and no file."""
+    result = predict(pushes, tmp_path / "out.parquet", registry)
+    assert result.exit_code == 1
+    assert message in result.stderr
+    assert len(result.stderr.splitlines()) == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["in.parquet"]
+
+
+def test_the_first_of_many_bad_rows_is_named(source: Path, model: ModelParts, tmp_path: Path) -> None:
+    """Whichever process finds one first."""
+    pushes = pq.read_table(source).to_pydict()
+    for row in (3 * CHUNK_ROWS + 5, 3 * CHUNK_ROWS + 6, 4 * CHUNK_ROWS):
+        pushes["x_m"][row] = 2.0
+    pq.write_table(pa.table(pushes), tmp_path / "in.parquet")
+    with pytest.raises(Exception, match=f"^row {3 * CHUNK_ROWS + 5} "):
+        written(tmp_path / "in.parquet", tmp_path / "out.parquet", model, LocalCores(2))
+    assert [path.name for path in tmp_path.iterdir()] == ["in.parquet"]
+
+
+def test_another_file_is_never_overwritten(tmp_path: Path, registry: Path) -> None:
+    """Nor is the source itself."""
+    (tmp_path / "out.parquet").write_text("mine", encoding="utf-8")
+    result = predict(table(5), tmp_path / "out.parquet", registry)
+    assert result.exit_code == 1
+    assert "received a name that is taken; accepted is a new one" in result.stderr
+    assert (tmp_path / "out.parquet").read_text(encoding="utf-8") == "mine"
+
+
+def test_what_is_no_parquet_file_is_told(tmp_path: Path, registry: Path) -> None:
+    """Neither something else, nor nothing, nor a folder that is not there."""
+    (tmp_path / "text").write_text("x_m,y_m", encoding="utf-8")
+    for source in (tmp_path / "text", tmp_path / "gone", tmp_path):
+        result = predict(source, tmp_path / "out.parquet", registry)
+        assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
+        assert "accepted is a Parquet file" in result.stderr
+    pq.write_table(table(5), tmp_path / "in.parquet")
+    lost = predict(tmp_path / "in.parquet", tmp_path / "gone" / "out.parquet", registry)
+    assert (lost.exit_code, "cannot be written" in lost.stderr) == (1, True)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["0", "0"], ["--jobs", "2", "--", "0", "0", "0"], ["--ray", "auto", "1a2b3c4a", "0", "0", "0"], ["a", "b", "c"]],
+    ids=["too few", "jobs", "ray", "no numbers"],
+)
+def test_options_of_files_are_for_files(arguments: list[str]) -> None:
+    """The command line is wrong."""
+    assert CliRunner().invoke(main, ["predict", *arguments]).exit_code == 2
+
+
+def test_a_kind_of_context_is_found_by_its_column(source: Path) -> None:
+    """Text is an indicator."""
+    assert PushFile(source).kind() is ContextKind.INDICATOR
+
+
+def test_a_missing_extra_is_told_in_one_line(tmp_path: Path, registry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With what to install."""
+    monkeypatch.setitem(sys.modules, "ray", None)
+    target = tmp_path / "out.parquet"
+    pq.write_table(table(5), tmp_path / "in.parquet")
+    arguments = ["predict", "--parquet", str(tmp_path / "in.parquet"), str(target), "--registry", str(registry)]
+    without_ray = CliRunner().invoke(main, [*arguments, "--ray", "auto"])
+    assert without_ray.stderr == "Error: --ray needs the extra 'ray': pip install 'cazsl[ray]'\n"
+    monkeypatch.setitem(sys.modules, "service.bulk.predict_file", None)
+    without_pyarrow = CliRunner().invoke(main, arguments)
+    assert without_pyarrow.stderr == "Error: --parquet needs the extra 'parquet': pip install 'cazsl[parquet]'\n"
+    assert not target.exists()

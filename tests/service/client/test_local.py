@@ -1,0 +1,146 @@
+"""The same answers without a service: byte for byte what a real process sends."""
+
+import asyncio
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx2
+import numpy as np
+import pytest
+from PIL import Image
+
+from service.client import Client, ProblemError
+from service.client.local import InProcess
+from service.errors import ModelNotReadyError, RegistryError
+from tests.serving import PATIENCE_S, serve
+
+PUSHER = {"x": -0.075, "y": 0.003, "angle": 0.1}
+CONTEXT = {"descriptor": "1a2b3c4a"}
+POSES = np.random.default_rng(0).uniform(-0.1, 0.1, (500, 3)).tolist()
+GREY = [[0.5] * 32] * 32
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx2.Client, httpx2.Client]]:
+    """A service process, and the same registry in this process."""
+    folder = tmp_path_factory.mktemp("parity")
+    with (
+        serve(folder) as (port, _),
+        httpx2.Client(base_url=f"http://127.0.0.1:{port}", timeout=PATIENCE_S) as remote,
+        httpx2.Client(base_url="http://x", transport=InProcess.over(str(folder / "models"))) as local,
+    ):
+        yield remote, local
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A top-down view."""
+    grey = np.zeros((64, 64), dtype=np.uint8)
+    grey[20:44, 18:40] = 128
+    path = tmp_path_factory.mktemp("picture") / "view.png"
+    Image.fromarray(grey).save(path)
+    return path
+
+
+GOOD = {
+    "one": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT}),
+    "one, by version": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT, "model": "push-indicator@1"}),
+    "one, in the world": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT, "object_pose": PUSHER}),
+    "one, visual": ("/v1/predict", {"pusher": PUSHER, "context": {"visual": GREY}}),
+    "batch": ("/v1/predict/batch", {"pushers": POSES, "contexts": [CONTEXT]}),
+    "batch, in the world": (
+        "/v1/predict/batch",
+        {"pushers": POSES, "contexts": [CONTEXT], "object_poses": [[0.0, 0.0, 1.0]]},
+    ),
+}
+BAD = {
+    "no JSON": ("/v1/predict", b"{"),
+    "no object": ("/v1/predict", b"[]"),
+    "nothing": ("/v1/predict", {}),
+    "another field": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT, "colour": "red"}),
+    "a text for a number": ("/v1/predict", {"pusher": {**PUSHER, "x": "0"}, "context": CONTEXT}),
+    "out of reach": ("/v1/predict", {"pusher": {**PUSHER, "x": 2.0}, "context": CONTEXT}),
+    "no such object": ("/v1/predict", {"pusher": PUSHER, "context": {"descriptor": "9z"}}),
+    "no such model": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT, "model": "nobody"}),
+    "another kind": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT, "model": "push-visual"}),
+    "short rows": ("/v1/predict/batch", {"pushers": [[0.0, 0.0]]}),
+    "too many": ("/v1/predict/batch", {"pushers": [[0.0, 0.0, 0.0]] * 10_001, "contexts": [CONTEXT]}),
+    "contexts that do not fit": ("/v1/predict/batch", {"pushers": POSES, "contexts": [CONTEXT] * 2}),
+}
+
+
+def post(client: httpx2.Client, path: str, document: object) -> httpx2.Response:
+    """A document, as JSON."""
+    content = document if isinstance(document, bytes) else json.dumps(document).encode()
+    return client.post(path, content=content, headers={"Content-Type": "application/json"})
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_predictions_are_the_same_bytes(both: tuple[httpx2.Client, httpx2.Client], name: str) -> None:
+    """Every digit of every number, and what stands around them."""
+    remote, local = (post(client, *GOOD[name]) for client in both)
+    assert remote.status_code == local.status_code == 200
+    assert remote.content == local.content
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_problems_are_the_same_but_for_the_request_id(both: tuple[httpx2.Client, httpx2.Client], name: str) -> None:
+    """Status, code, words and faults."""
+    remote, local = (post(client, *BAD[name]) for client in both)
+    assert remote.status_code == local.status_code >= 400
+    assert {**remote.json(), "request_id": ""} == local.json()
+
+
+@pytest.mark.parametrize("path", ["/v1/models", "/v1/models/push-visual", "/v1/models/push-indicator/versions/1"])
+def test_models_are_described_alike(both: tuple[httpx2.Client, httpx2.Client], path: str) -> None:
+    """Names, aliases, manifest, card."""
+    remote, local = (client.get(path) for client in both)
+    assert remote.json() == local.json()
+
+
+@pytest.mark.parametrize("fields", [{"pusher": json.dumps(PUSHER)}, {"pushers": json.dumps(POSES)}, {"pushers": "x"}])
+def test_images_are_seen_alike(
+    both: tuple[httpx2.Client, httpx2.Client], picture: Path, fields: dict[str, str]
+) -> None:
+    """As a form with pushes, and to be used again."""
+
+    def answers(client: httpx2.Client) -> list[dict[str, Any]]:
+        files = {"image": picture.read_bytes()}
+        predicted = client.post("/v1/predict/image", data=fields, files=files)
+        seen = client.post("/v1/contexts", files=files)
+        broken = client.post("/v1/contexts", files={"image": b"none"})
+        return [{**response.json(), "request_id": ""} for response in (predicted, seen, broken)]
+
+    remote, local = (answers(client) for client in both)
+    assert remote == local
+
+
+def test_what_is_not_there_is_said(both: tuple[httpx2.Client, httpx2.Client]) -> None:
+    """Models that are not served, as a service says it; routes that only a service has."""
+    remote, local = (client.get("/v1/models/nobody") for client in both)
+    assert {**remote.json(), "request_id": ""} == local.json()
+    assert "not answered in process" in both[1].get("/metrics").json()["detail"]
+
+
+def test_a_registry_without_a_model_is_refused_at_once(tmp_path: Path) -> None:
+    """Not at the first prediction, and not after waiting."""
+    with pytest.raises(ModelNotReadyError, match="can be used"):
+        Client.local(str(tmp_path))
+    with pytest.raises(RegistryError, match="a registry is a folder"):
+        Client.local("https://example.org/models")
+
+
+def test_images_inside_a_running_loop_are_read_too(picture: Path, project_root: Path) -> None:
+    """A notebook runs one, and the blocking client is what people use there."""
+
+    async def notebook() -> None:
+        """A cell."""
+        with Client.local(str(project_root / "models")) as client:
+            assert client.make_context(picture).visual
+            assert client.predict_image(picture, [[-0.075, 0.0, 0.0]]).mean.shape == (1, 3)
+            with pytest.raises(ProblemError, match="unknown_model"):
+                client.predict_image(picture, [[-0.075, 0.0, 0.0]], model="nobody")
+
+    asyncio.run(notebook())

@@ -1,0 +1,167 @@
+"""Readiness that tells the truth, and by which a service comes back by itself."""
+
+import asyncio
+import shutil
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import pytest
+from fastapi.testclient import TestClient
+
+from service.app import create_app
+from service.errors import PredictionError
+from service.inference.loaded_models import LoadedModels
+from service.inference.readiness import Readiness
+from service.pushing.contexts import ContextKind, FloatArray, IndexArray
+from service.registry.registry import Registry
+from service.settings import Settings
+from tests.fakes import FakePredictor, publish_fake
+
+
+@dataclass
+class Fickle(FakePredictor):
+    """Fails, hangs or has a bug, when told to."""
+
+    fault: list[str] = field(default_factory=list)
+    released: threading.Event = field(default_factory=threading.Event)
+
+    def predict(
+        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """See ``FakePredictor``."""
+        if "fails" in self.fault:
+            raise PredictionError("the runtime could not evaluate the model")
+        if "has a bug" in self.fault:
+            raise ZeroDivisionError
+        if "hangs" in self.fault:
+            self.released.wait()
+        mean, std = super().predict(pusher, context, context_index)
+        return (mean + 1.0, std) if "lies" in self.fault else (mean, std)
+
+
+@pytest.fixture
+def fickle() -> Fickle:
+    """The predictor of the only model."""
+    return Fickle(b"", ContextKind.INDICATOR)
+
+
+@pytest.fixture
+def models(tmp_path: Path, fickle: Fickle) -> LoadedModels:
+    """What serves it."""
+    registry = Registry(tmp_path / "models")
+    publish_fake(registry)
+    found = LoadedModels(registry, lambda *_: fickle)
+    found.refresh()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [("fails", "cannot be run"), ("lies", "differs by more"), ("hangs", "did not end within"), ("has a bug", "log")],
+)
+def test_a_model_that_stops_answering_is_not_ready_until_it_answers_again(
+    models: LoadedModels, fickle: Fickle, fault: str, reason: str
+) -> None:
+    """Loaded and checked is not enough: the timer's tiny inference must be right, and in time."""
+    readiness = Readiness(models, 2.0, 0.05)
+
+    async def scenario() -> None:
+        """What happens, in the loop."""
+        await readiness.probe()
+        assert (readiness.is_ready(), readiness.reason()) == (True, None)
+        fickle.fault.append(fault)
+        await readiness.probe()
+        (check,) = readiness.checks()
+        assert not check.ready
+        assert reason in str(check.reason)
+        assert "not ready, looking again every 2 s, because push-indicator@1" in str(readiness.reason())
+        assert readiness.failures["push-indicator"] == 1
+        fickle.fault.clear()
+        fickle.released.set()
+        while not readiness.is_ready():
+            await readiness.probe()
+
+    asyncio.run(scenario())
+
+
+def test_a_hanging_model_takes_one_thread_however_often_it_is_asked(models: LoadedModels, fickle: Fickle) -> None:
+    """The inference that did not end is waited for, not asked again."""
+    readiness = Readiness(models, 2.0, 0.01)
+    fickle.fault.append("hangs")
+
+    async def scenario() -> None:
+        """What happens, in the loop."""
+        before = threading.active_count()
+        for _ in range(5):
+            await readiness.probe()
+        assert threading.active_count() == before + 1
+        fickle.released.set()
+
+    asyncio.run(scenario())
+
+
+def test_an_empty_registry_is_told_and_left_alone_once_it_is_filled(tmp_path: Path) -> None:
+    """503 with the reason and what is being done; the first model makes it 200, without a restart."""
+    models = LoadedModels(Registry(tmp_path / "models"), FakePredictor)
+    with TestClient(create_app(Settings(poll_interval_s=0.02), models)) as client:
+        response = client.get("/readyz")
+        assert response.status_code == 503
+        assert response.json()["ready"] is False
+        assert response.json()["reason"].startswith("not ready, looking again every 0.02 s, because ")
+        assert client.get("/livez").status_code == 200
+        assert client.get("/v2/health/ready").status_code == 503
+        publish_fake(Registry(tmp_path / "models"))
+        while client.get("/readyz").status_code != 200:
+            pass
+        assert client.get("/readyz").json()["checks"] == [
+            {"name": "push-indicator", "version": 1, "ready": True, "reason": None}
+        ]
+
+
+def test_a_registry_that_is_gone_ends_nothing(models: LoadedModels, tmp_path: Path) -> None:
+    """What is loaded goes on being served, and readiness names the problem."""
+    with TestClient(create_app(Settings(poll_interval_s=0.02), models)) as client:
+        shutil.rmtree(tmp_path / "models")
+        while not client.get("/readyz").json()["problems"]:
+            pass
+        assert client.get("/readyz").status_code == 200
+
+
+def test_a_version_that_cannot_be_asked_is_not_ready_for_v2_clients(models: LoadedModels, fickle: Fickle) -> None:
+    """KServe and Triton clients ask model by model."""
+    with TestClient(create_app(Settings(poll_interval_s=3600, probe_interval_s=0.02), models)) as client:
+        assert client.get("/v2/models/push-indicator/ready").status_code == 200
+        fickle.fault.append("fails")
+        while client.get("/v2/models/push-indicator/ready").status_code == 200:
+            pass
+        assert "cannot be run" in client.get("/v2/models/push-indicator/versions/1/ready").json()["error"]
+        assert client.get("/readyz").status_code == 503
+
+
+def test_the_end_makes_it_unready_whatever_is_loaded(models: LoadedModels) -> None:
+    """A load balancer that asks sends nothing more."""
+    app = create_app(Settings(poll_interval_s=3600), models)
+    with TestClient(app) as client:
+        app.state.readiness.drain()
+        response = client.get("/readyz")
+        assert (response.status_code, "SIGTERM" in response.json()["reason"]) == (503, True)
+
+
+def test_a_registry_that_hangs_delays_no_sign_of_life(tmp_path: Path) -> None:
+    """A network disk that does not answer at the start: /livez answers, /readyz says that it was not read yet."""
+    released = threading.Event()
+
+    class Hanging(Registry):
+        """A registry whose disk does not answer."""
+
+        def fingerprint(self) -> object:
+            """When it is allowed to."""
+            released.wait()
+            return super().fingerprint()
+
+    models = LoadedModels(Hanging(tmp_path), FakePredictor)
+    with TestClient(create_app(Settings(), models)) as client:
+        assert client.get("/livez").status_code == 200
+        assert "was not read yet" in client.get("/readyz").json()["reason"]
+        released.set()

@@ -1,0 +1,131 @@
+"""The seam around onnxruntime, on the model that ships."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from service.errors import BrokenModelError, PredictionError
+from service.model.manifest import ModelReference
+from service.model.predictor import OnnxPredictor, Predictor
+from service.pushing.contexts import ContextKind, ObjectContext
+from service.registry.registry import Registry
+
+
+@pytest.fixture(scope="module")
+def shipped(project_root: Path) -> bytes:
+    """The graph of the champion."""
+    registry = Registry(project_root / "models")
+    return registry.read("push-indicator", registry.resolve(ModelReference.parse("push-indicator"))).model
+
+
+@pytest.fixture(scope="module")
+def predictor(shipped: bytes) -> Predictor:
+    """The champion, loaded."""
+    return OnnxPredictor(shipped, ContextKind.INDICATOR)
+
+
+def pushes(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Random pushes of three objects."""
+    rng = np.random.default_rng(0)
+    pusher = rng.uniform(-0.08, 0.08, (count, 3)).astype(np.float32)
+    context = np.stack(
+        [ObjectContext.from_descriptor(name).indicator() for name in ("1a2b3c4a", "4a4a4a4a", "3c3a2B1a")]
+    )
+    return pusher, context, rng.integers(3, size=count)
+
+
+def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) -> None:
+    """One row out per row in, float32, in SI units."""
+    mean, std = predictor.predict(*pushes(7))
+    assert mean.shape == std.shape == (7, 3)
+    assert mean.dtype == std.dtype == np.float32
+    assert (std > 0).all()
+
+
+def test_the_runtime_tells_nobody_what_it_runs(project_root: Path, tmp_path: Path) -> None:
+    """Its telemetry, on by default, begins with a name for this device and a queue in the user's folders."""
+    code = (
+        "import sys; from service.pushing.contexts import ContextKind; from service.model.predictor import OnnxPredictor;"
+        "OnnxPredictor(sys.stdin.buffer.read(), ContextKind.NONE)"
+    )
+    quiet = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
+    done = subprocess.run(
+        [sys.executable, "-B", "-c", code],
+        cwd=project_root,
+        env=quiet | {"HOME": str(tmp_path)},
+        input=Registry(project_root / "models").read("push-none", 1).model,
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert list(tmp_path.rglob("*")) == []
+
+
+def contexts(kind: ContextKind, count: int) -> np.ndarray | None:
+    """Random contexts of a kind."""
+    rng = np.random.default_rng(1)
+    if kind is ContextKind.NONE:
+        return None
+    if kind is ContextKind.VISUAL:
+        return (rng.integers(0, 256, (count, 1, 32, 32)) / np.float32(255.0)).astype(np.float32)
+    names = ["".join(f"{rng.integers(1, 5)}{rng.choice(list('aabc'))}" for _ in range(4)) for _ in range(count)]
+    kept = [name for name in names if sum(letter != "a" for letter in name[1::2]) <= 2] or ["1a2b3c4a"]
+    return np.stack([ObjectContext.from_descriptor(kept[n % len(kept)]).indicator() for n in range(count)])
+
+
+@pytest.mark.parametrize("kind", list(ContextKind))
+def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: ContextKind) -> None:
+    """Alone, in a crowd, first or last: the same bits, of every model that ships."""
+    registry, name = Registry(project_root / "models"), f"push-{kind}"
+    predictor = OnnxPredictor(registry.read(name, registry.versions(name)[-1]).model, kind)
+    rng, tensor = np.random.default_rng(2), contexts(kind, 30)
+    pusher = rng.uniform([-0.1, -0.1, -3.1], [0.1, 0.1, 3.1], (600, 3)).astype(np.float32)
+    index = rng.integers(0, 30, 600)
+    together = np.stack(predictor.predict(pusher, tensor, index), axis=1)
+
+    for count in [*range(1, 34), 63, 250, 255]:
+        rows = rng.choice(600, count, replace=False)
+        objects, places = np.unique(index[rows], return_inverse=True)
+        given = (None, None) if tensor is None else (tensor[objects], places.astype(np.int64))
+        found = np.stack(predictor.predict(pusher[rows], *given), axis=1)
+        assert found.tobytes() == together[rows].tobytes(), count
+
+
+@pytest.mark.parametrize("model", [b"", b"not a model", b"\x08\x0a" * 50], ids=["empty", "text", "noise"])
+def test_bytes_that_are_no_graph_are_a_broken_model(model: bytes) -> None:
+    """The runtime's own errors do not leave this module."""
+    with pytest.raises(BrokenModelError, match=r"model\.onnx: (not an ONNX model|onnxruntime refuses)"):
+        OnnxPredictor(model, ContextKind.INDICATOR)
+
+
+def test_a_graph_with_other_tensors_is_a_broken_model(shipped: bytes) -> None:
+    """A graph that wants a context is none for models without."""
+    with pytest.raises(BrokenModelError, match="not those of the contract"):
+        OnnxPredictor(shipped, ContextKind.NONE)
+
+
+def test_a_loaded_model_does_not_keep_its_file(project_root: Path) -> None:
+    """A worker would hold every byte twice."""
+    model = Registry(project_root / "models").read("push-indicator", 1).model
+    before = sys.getrefcount(model)
+    predictor = OnnxPredictor(model, ContextKind.INDICATOR)
+    assert sys.getrefcount(model) == before
+    del predictor
+
+
+def test_an_index_beyond_the_contexts_is_a_prediction_error(predictor: Predictor) -> None:
+    """The runtime's refusal is translated."""
+    pusher, context, index = pushes(2)
+    with pytest.raises(PredictionError, match="could not evaluate"):
+        predictor.predict(pusher, context, index + 3)
+
+
+def test_an_answer_that_is_no_gaussian_never_leaves(predictor: Predictor) -> None:
+    """A mean that overflows is an error, not an answer."""
+    pusher, context, index = pushes(1)
+    with pytest.raises(PredictionError, match="not finite"):
+        predictor.predict(np.full_like(pusher, np.float32(3e38)), context, index)

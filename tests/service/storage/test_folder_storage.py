@@ -1,0 +1,372 @@
+"""A registry on a disk that fails for real: processes killed, disks full, rights taken away, two writers at once."""
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from service.errors import BrokenModelError, PublishError, RegistryError
+from service.registry.registry import Registry
+from tests.fakes import draft_manifest, publish_fake
+
+NAME = "push-indicator"
+PATIENCE_S = 120.0  # bounds a hang, measures nothing
+
+
+@pytest.fixture
+def registry(tmp_path: Path) -> Registry:
+    """A registry with two versions, the first being the champion."""
+    found = Registry(tmp_path / "models")
+    publish_fake(found)
+    publish_fake(found, alias=None)
+    return found
+
+
+def python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A process of its own."""
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=PATIENCE_S,
+    )
+
+
+@pytest.mark.parametrize(
+    ("action", "before", "after"),
+    [
+        ("publish", ("1,2", "1"), ("1,2,3", "1")),
+        ("alias", ("1,2", "1"), ("1,2", "2")),
+        ("new-alias", ("1,2", "1"), ("1,2", "1")),
+        ("drop-alias", ("1,2", "1"), ("1,2", "0")),
+        ("remove", ("1,2", "1"), ("1", "1")),
+        ("first-publish", ("1,2", "1"), ("1,2", "1")),
+    ],
+)
+def test_a_kill_at_any_system_call_leaves_the_old_state_or_the_new_one(
+    registry: Registry, project_root: Path, action: str, before: tuple[str, str], after: tuple[str, str]
+) -> None:
+    """Every byte that is visible verifies, no number comes twice, and the next writer's history is whole."""
+    done = python(project_root, "-m", "tests.service.kill_at_every_call", str(registry.root), action)
+    assert done.returncode == 0, done.stderr
+    rounds = [line.split() for line in done.stdout.splitlines()]
+    assert [int(status) for status, *_ in rounds] == [-signal.SIGKILL] * (len(rounds) - 1) + [0]
+    seen = [(versions, champion) for _, versions, champion in rounds]
+    assert len(seen) > 20
+    turn = seen.index(after)
+    assert seen == [before] * turn + [after] * (len(seen) - turn), "the old state, then the new one, and no other"
+    assert before == after or turn > 0
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 256 kB, where this machine lets us have one."""
+    where = tmp_path / "disk"
+    where.mkdir()
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=256k", "tmpfs", str(where)],  # noqa: S607
+        capture_output=True,
+        check=False,
+    )
+    if mounted.returncode:
+        pytest.skip("no right to mount a file system; the limit on file sizes below tests the same")
+    yield where
+    subprocess.run(["umount", str(where)], check=True)  # noqa: S607
+
+
+def test_a_full_disk_publishes_nothing_and_keeps_what_is_there(small_disk: Path) -> None:
+    """Publishing until the disk is full: the last one fails, everything before it verifies, and room helps."""
+    registry = Registry(small_disk / "models")
+    with pytest.raises(PublishError, match="No space left"):
+        publish_until_it_fails(registry)
+    versions = registry.versions(NAME)
+    assert 1 < len(versions) < 20
+    assert all(registry.read(NAME, version).model == b"x" * 20_000 for version in versions)
+    assert not list((small_disk / "models" / NAME).glob(".staging-*"))
+    registry.remove(NAME, 1)
+    assert publish_fake(registry, model=b"x" * 10_000, alias=None) == versions[-1] + 1
+    assert registry.history(NAME).problems == ()
+
+
+def test_a_disk_without_a_byte_left_tears_no_history(small_disk: Path) -> None:
+    """The alias cannot move, stays what it is, and the history stays whole."""
+    registry = Registry(small_disk / "models")
+    publish_fake(registry)
+    publish_fake(registry, alias=None)
+    with pytest.raises(OSError, match="No space"):
+        (small_disk / "filler").write_bytes(bytes(1 << 20))
+    for _ in range(200):  # whatever room a block has left in the history's page
+        try:
+            registry.point_alias(NAME, "champion", 2)
+            registry.point_alias(NAME, "champion", 1)
+        except RegistryError:
+            break
+    else:
+        pytest.fail("the disk never was full")
+    assert registry.history(NAME).torn_bytes == 0
+    assert registry.aliases(NAME)["champion"] in (1, 2)
+    (small_disk / "filler").unlink()
+    registry.point_alias(NAME, "champion", 2)
+    assert registry.unrecorded(NAME) == ()
+    assert registry.history(NAME).problems == ()
+
+
+LIMITED = """
+import resource, signal, sys
+from pathlib import Path
+from service.errors import CazslError
+from service.registry.registry import Registry
+from tests.fakes import publish_fake
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), resource.RLIM_INFINITY))
+try:
+    publish_fake(Registry(Path(sys.argv[1])), alias=None)
+except CazslError as error:
+    print(type(error).__name__, error)
+"""
+
+
+def test_a_write_cut_anywhere_publishes_a_whole_version_or_none(registry: Registry, project_root: Path) -> None:
+    """No file may grow past a limit, from nothing to enough: the write that hits it is cut in its middle."""
+    whole = max(
+        (registry.root / NAME / "1" / "manifest.json").stat().st_size,
+        (registry.root / NAME / "history.jsonl").stat().st_size + 400,
+    )
+    outcomes = set()
+    for limit in (0, 1, 3, 10, 100, 300, 500, 700, 900, 1100, whole - 300, whole - 1, whole + 1000):
+        copy = registry.root.with_name(f"copy-{limit}")
+        shutil.copytree(registry.root, copy)
+        done = python(project_root, "-c", LIMITED, str(copy), str(limit))
+        assert done.returncode == 0, done.stderr
+        found = Registry(copy)
+        state = found.state(NAME)
+        outcomes.add((done.stdout.partition(" ")[0], len(state.versions)))
+        assert all(found.read(NAME, version) for version in state.versions)
+        assert found.history(NAME).torn_bytes == 0
+        assert publish_fake(found, alias=None) == len(state.versions) + 1
+        assert found.unrecorded(NAME) == ()
+        assert found.history(NAME).problems == ()
+    assert {("PublishError", 2), ("", 3)} <= outcomes <= {("PublishError", 2), ("RegistryError", 3), ("", 3)}
+
+
+AS_ANYBODY = """
+import os, sys
+from pathlib import Path
+from service.errors import CazslError
+from service.model.manifest import ModelReference
+from service.registry.registry import Registry
+from tests.fakes import publish_fake
+if os.getuid() == 0:
+    os.setgid(12345), os.setuid(12345)
+registry = Registry(Path(sys.argv[1]))
+assert registry.read("push-indicator", registry.resolve(ModelReference.parse("push-indicator"))).model == b"fine"
+registry.fingerprint(), registry.history("push-indicator"), registry.unrecorded("push-indicator"), registry.survey()
+changes = (
+    lambda: publish_fake(registry, alias=None),
+    lambda: publish_fake(registry, "push-none", alias=None),
+    lambda: registry.point_alias("push-indicator", "champion", 2),
+    lambda: registry.remove("push-indicator", 2),
+    lambda: registry.sign("push-indicator", 1, b"x"),
+)
+for change in changes:
+    try:
+        change()
+    except CazslError as error:
+        print(type(error).__name__, error)
+"""
+
+
+def test_a_registry_that_may_only_be_read_is_read_by_anybody_and_changed_by_nobody(
+    registry: Registry, project_root: Path
+) -> None:
+    """As another user without a right to write: reading works, every change is refused, no byte is touched."""
+    for path in [registry.root, *registry.root.rglob("*")]:
+        path.chmod(0o555 if path.is_dir() else 0o444)
+    for path in registry.root.parents:
+        if path.stat().st_uid == os.getuid() and path != Path("/"):
+            path.chmod(path.stat().st_mode | 0o055)
+    before = snapshot(registry.root)
+    done = python(project_root, "-c", AS_ANYBODY, str(registry.root))
+    for path in [registry.root, *registry.root.rglob("*")]:
+        path.chmod(0o755 if path.is_dir() else 0o644)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("Permission denied") == len(done.stdout.splitlines()) == 5
+    assert snapshot(registry.root) == before
+
+
+def test_a_read_only_mount_is_read_and_not_changed(small_disk: Path, project_root: Path) -> None:
+    """As ops mount it for the service, and even for root."""
+    publish_fake(Registry(small_disk / "models"))
+    publish_fake(Registry(small_disk / "models"), alias=None)
+    subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)  # noqa: S607
+    registry = Registry(small_disk / "models")
+    assert registry.read(NAME, 1).model == b"fine"
+    assert registry.history(NAME).problems == ()
+    with pytest.raises(PublishError, match="Read-only file system; nothing was published"):
+        publish_fake(registry, alias=None)
+    with pytest.raises(RegistryError, match="Read-only file system; nothing was changed"):
+        registry.point_alias(NAME, "champion", 2)
+    assert registry.aliases(NAME) == {"champion": 1}
+
+
+PUBLISHER = """
+import sys
+from pathlib import Path
+from service.registry.registry import Registry
+from tests.fakes import publish_fake
+for _ in range(10):
+    print(publish_fake(Registry(Path(sys.argv[1])), alias=None))
+"""
+
+
+def test_publishing_processes_at_once_get_a_number_each(tmp_path: Path, project_root: Path) -> None:
+    """Three processes, ten versions each, in a registry that is not there yet: thirty numbers, none twice."""
+    root = tmp_path / "models"
+    running = [
+        subprocess.Popen(
+            [sys.executable, "-c", PUBLISHER, str(root)], cwd=project_root, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(3)
+    ]
+    numbers = [int(line) for process in running for line in process.communicate(timeout=PATIENCE_S)[0].split()]
+    registry = Registry(root)
+    assert sorted(numbers) == registry.versions(NAME) == list(range(1, 31))
+    history = registry.history(NAME)
+    assert (history.problems, [event.to for event in history.events]) == ((), list(range(1, 31)))
+
+
+def test_one_directory_stat_per_model_tells_of_every_change(registry: Registry) -> None:
+    """One listing, one stat per model, nothing opened; and yet a publish, a move, a removal, a signature are seen."""
+    publish_fake(registry, "push-none")
+    calls: list[str] = []
+
+    def count(frame: object, event: str, function: object) -> None:
+        if event == "c_call" and getattr(function, "__module__", None) == "posix":
+            calls.append(function.__name__)  # type: ignore[attr-defined]
+
+    sys.setprofile(count)
+    registry.fingerprint()
+    sys.setprofile(None)
+    assert sorted(set(calls) - {"fspath"}) == ["scandir", "stat"]
+    assert (calls.count("scandir"), calls.count("stat")) == (1, 2)
+
+    def long_ago() -> object:
+        for name in registry.names():
+            os.utime(registry.root / name, ns=(1, 1))
+        found = registry.fingerprint()
+        assert registry.fingerprint() == found
+        return found
+
+    before = long_ago()
+    for change in (
+        lambda: publish_fake(registry, alias=None),
+        lambda: registry.point_alias(NAME, "canary", 2),
+        lambda: registry.point_alias(NAME, "canary", 3),
+        lambda: registry.sign(NAME, 2, b"signature"),
+        lambda: registry.drop_alias(NAME, "canary"),
+        lambda: registry.remove(NAME, 2),
+    ):
+        change()
+        assert registry.fingerprint() != before
+        assert long_ago() == before
+
+
+def test_a_change_within_one_tick_of_the_clock_is_looked_at_twice(registry: Registry) -> None:
+    """A folder that changed just now has another fingerprint than the same folder a moment later."""
+    os.utime(registry.root / NAME)
+    fresh = registry.fingerprint()
+    modified = (registry.root / NAME).stat().st_mtime_ns - 1_000_000_000
+    os.utime(registry.root / NAME, ns=(modified, modified))
+    assert [settled for *_, settled in fresh] == [False]  # type: ignore[attr-defined]
+    assert [settled for *_, settled in registry.fingerprint()] == [True]  # type: ignore[attr-defined]
+
+
+def test_a_torn_last_line_is_reported_then_cut_and_recorded(registry: Registry) -> None:
+    """Half a line, as a crash leaves it: readers say so, the next writer repairs it and writes down that it did."""
+    path = registry.root / NAME / "history.jsonl"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-20])
+    assert "torn" in registry.history(NAME).problems[0]
+    assert path.read_bytes() == whole[:-20], "reading repairs nothing"
+    registry.point_alias(NAME, "champion", 2)
+    history = registry.history(NAME)
+    assert history.problems == ()
+    assert [event.what for event in history.events[-3:]] == ["repair", "publish", "alias champion"]
+    assert "torn" in (history.events[-3].reason or "")
+    assert "recorded afterwards" in (history.events[-2].reason or "")
+
+
+def test_a_number_is_spent_even_when_its_folder_was_deleted_by_hand(registry: Registry) -> None:
+    """What the history knows is not given again."""
+    shutil.rmtree(registry.root / NAME / "2")
+    assert publish_fake(registry, alias=None) == 3
+    assert "vanish" in [event.what for event in registry.history(NAME).events]
+
+
+def test_a_version_whose_number_left_the_history_is_not_given_again_either(registry: Registry) -> None:
+    """Without a history, what was removed is still known."""
+    registry.remove(NAME, 2)
+    (registry.root / NAME / "history.jsonl").unlink()
+    assert publish_fake(registry, alias=None) == 3
+
+
+def test_what_a_removed_version_was_stays_known(registry: Registry) -> None:
+    """The model and its card go, the manifest stays where no reader takes it for a version."""
+    registry.remove(NAME, 2, reason="too sure of itself")
+    left = registry.root / NAME / "removed" / "2"
+    assert [entry.name for entry in left.iterdir()] == ["manifest.json"]
+    assert json.loads((left / "manifest.json").read_bytes())["version"] == 2
+    with pytest.raises(BrokenModelError):
+        registry.read(NAME, 2)
+
+
+def test_a_history_that_cannot_be_locked_publishes_nothing(registry: Registry) -> None:
+    """Without a history there is no change: its file is every writer's lock."""
+    history = registry.root / NAME / "history.jsonl"
+    history.unlink()
+    history.mkdir()
+    with pytest.raises(PublishError, match="nothing was published"):
+        publish_fake(registry, alias=None)
+    assert registry.versions(NAME) == [1, 2]
+
+
+def test_a_disk_that_cannot_tell_is_an_error_not_an_empty_answer(registry: Registry) -> None:
+    """A blip of the storage, here no file descriptor left, must not look like a model without aliases."""
+    free = os.dup(0)
+    os.close(free)
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (free + 1, hard))
+    try:
+        with pytest.raises(RegistryError, match="Too many open files"):
+            registry.aliases(NAME)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_draft_too_large_to_be_read_back_is_not_published(tmp_path: Path) -> None:
+    """The limits of reading hold for writing."""
+    registry = Registry(tmp_path / "models", max_model_bytes=10)
+    with pytest.raises(BrokenModelError, match=r"model\.onnx: 11 bytes; at most 10"):
+        registry.publish(draft_manifest(), b"x" * 11, "card")
+    assert not registry.root.exists()
+
+
+def publish_until_it_fails(registry: Registry) -> None:
+    """A thousand versions of 20 kB, if the disk lets us."""
+    for _ in range(1000):
+        publish_fake(registry, model=b"x" * 20_000, alias=None)
+
+
+def snapshot(root: Path) -> dict[str, tuple[bytes, int]]:
+    """Every file below a folder with its bytes and time."""
+    return {str(path): (path.read_bytes(), path.stat().st_mtime_ns) for path in root.rglob("*") if path.is_file()}

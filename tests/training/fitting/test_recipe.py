@@ -1,0 +1,194 @@
+"""Recipes: those that ship, and the field that each bad one is refused for."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import pytest
+
+from service.errors import DataError
+from service.model.manifest import is_name
+from training.fitting.recipe import Recipe, parse_recipe, parse_recipe_record, read_recipe, recipe_names
+from training.networks.methods import METHODS
+from training.omnipush.published import different_objects
+from training.paper.experiments import Cell, experiments
+
+SERVED = ["push-indicator", "push-none", "push-visual"]
+
+
+def toml_of(values: dict[str, object]) -> str:
+    """A recipe file of these fields."""
+    texts = {key: str(value).lower() if isinstance(value, bool) else repr(value) for key, value in values.items()}
+    return "".join(f"{key} = {text}\n" for key, text in texts.items())
+
+
+def test_four_recipes_ship() -> None:
+    """The paper's, and one for each kind of context."""
+    assert recipe_names() == ["paper", *SERVED]
+
+
+@pytest.mark.parametrize("name", SERVED)
+def test_a_served_recipe_is_the_paper_s_method_on_all_that_physics_promises(name: str) -> None:
+    """Named as its model, measured on objects held out, with symmetric scenes, misses and an angle without a seam."""
+    found = read_recipe(name)
+
+    assert found.name == name
+    assert is_name(found.name)
+    assert found.context_kind == name.removeprefix("push-")
+    assert found.network() is METHODS["FCN" if name == "push-none" else "FCN + CM"]
+    assert found.split() == different_objects()
+    assert (found.angle, found.symmetries) == ("circular", True)
+    assert 0.0 < found.no_contact < 0.5
+
+
+def test_the_paper_s_recipe_is_a_row_of_its_tables() -> None:
+    """3000 epochs of Adam at 0.002, 64 objects a batch, lambda_1 0.01, lambda_2 10: as ``reproduce`` trains it."""
+    found = read_recipe("paper")
+    row = experiments()["different-objects"].recipe(Cell("different-objects", found.method, "indicator"), seed=0)
+
+    assert replace(row, name=found.name) == found
+    assert (found.epochs, found.batch_objects, found.learning_rate) == (3000, 64, 0.002)
+    assert (found.method, found.lambda_1, found.lambda_2) == ("FCN + CM + L2Reg", 0.01, 10.0)
+
+
+def test_a_record_reads_back_as_the_recipe(recipe: Recipe) -> None:
+    """What a run writes down of its recipe is the recipe."""
+    assert parse_recipe_record(dict(recipe.record()), "a record") == recipe
+
+
+def test_a_recipe_file_is_read_by_path(recipe: Recipe, tmp_path: Path) -> None:
+    """Any TOML file with the fields of a recipe is one."""
+    path = tmp_path / "mine.toml"
+    path.write_text(toml_of(asdict(replace(recipe, name="mine"))), encoding="utf-8")
+
+    assert read_recipe(str(path)) == replace(recipe, name="mine")
+
+
+BEYOND_PAPER = {
+    "angle": "circular",
+    "symmetries": True,
+    "no_contact": 0.1,
+    "least_std": 0.02,
+    "cooling_epochs": 2,
+}
+
+
+@pytest.mark.parametrize(("field", "value"), BEYOND_PAPER.items())
+def test_what_goes_beyond_the_paper_is_optional_and_recorded_where_it_is_used(
+    recipe: Recipe, field: str, value: object
+) -> None:
+    """A recipe without the field is the paper's, and its record is what it was before there was such a field."""
+    assert field not in recipe.record()
+    better = parse_recipe_record({**recipe.record(), field: value}, "here")
+
+    assert better == replace(recipe, **{field: value})  # type: ignore[arg-type]  # one field of each type
+    assert better.record() == {**recipe.record(), field: value}
+
+
+def test_every_optional_field_is_tested() -> None:
+    """The fields above are all that have a default."""
+    assert set(asdict(read_recipe("paper"))) - set(read_recipe("paper").record()) == set(BEYOND_PAPER)
+
+
+@pytest.mark.parametrize("field", [name for name in Recipe.__dataclass_fields__ if name not in BEYOND_PAPER])
+def test_every_field_of_the_paper_is_required_and_named_when_missing(recipe: Recipe, field: str) -> None:
+    """None of them has a default: a recipe is whole."""
+    values = asdict(recipe)
+    del values[field]
+
+    with pytest.raises(DataError, match=rf"here: missing or unknown: {field};"):
+        parse_recipe(toml_of(values), "here")
+
+
+def test_an_unknown_field_is_named(recipe: Recipe) -> None:
+    """A misspelt field is not quietly ignored."""
+    with pytest.raises(DataError, match="here: missing or unknown: momentum;"):
+        parse_recipe(toml_of({**asdict(recipe), "momentum": 0.9}), "here")
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "expected"),
+    [
+        pytest.param("epochs", 3.0, "int", id="a fraction of epochs"),
+        pytest.param("epochs", "3", "int", id="epochs as text"),
+        pytest.param("learning_rate", 1, "float", id="an integer learning rate"),
+        pytest.param("lambda_2", "10", "float", id="lambda as text"),
+        pytest.param("name", 5, "str", id="a number for a name"),
+        pytest.param("seed", True, "int", id="a truth for a seed"),
+        pytest.param("symmetries", 1, "bool", id="a number for a truth"),
+    ],
+)
+def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, expected: str) -> None:
+    """The message has the field, what it is, and the type that is expected."""
+    with pytest.raises(DataError) as caught:
+        parse_recipe_record({**asdict(recipe), field: value}, "here")
+
+    assert str(caught.value) == f"here: {field} is {value!r}; expected {expected}"
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        pytest.param("method", "FCN + XX", id="unknown method"),
+        pytest.param("context", "smell", id="unknown kind of context"),
+        pytest.param("context", "none", id="a mask without context"),
+        pytest.param("set_up", "different-planets", id="unknown set-up"),
+        pytest.param("precision", "float8", id="unknown precision"),
+        pytest.param("warm_up_steps", -1, id="a negative warm-up"),
+        pytest.param("epochs", 0, id="no epochs"),
+        pytest.param("batch_objects", -64, id="a negative batch"),
+        pytest.param("learning_rate", 0.0, id="no learning rate"),
+        pytest.param("learning_rate", float("nan"), id="a learning rate that is no number"),
+        pytest.param("learning_rate", float("inf"), id="an infinite learning rate"),
+        pytest.param("lambda_1", float("nan"), id="a lambda that is no number"),
+        pytest.param("angle", "square", id="an unknown angle"),
+        pytest.param("no_contact", 1.0, id="nothing but misses"),
+        pytest.param("least_std", float("inf"), id="an infinite std"),
+        pytest.param("cooling_epochs", 4, id="more cooling than epochs"),
+        pytest.param("seed", -1, id="a negative seed, which no generator takes"),
+        pytest.param("name", "Push Indicator", id="a name that no registry takes"),
+    ],
+)
+def test_an_impossible_field_is_named(recipe: Recipe, field: str, value: object) -> None:
+    """What cannot be trained or published is refused before hours of training, by field and value."""
+    with pytest.raises(DataError) as caught:
+        parse_recipe_record({**asdict(recipe), field: value}, "here")
+
+    assert f"here: {field} is {value!r}" in str(caught.value)
+    assert "expected" in str(caught.value)
+
+
+@pytest.mark.parametrize("method", ["FCN", "ANP"])
+def test_a_method_without_use_for_a_context_has_none(recipe: Recipe, method: str) -> None:
+    """The message says which contexts the paper has it with."""
+    with pytest.raises(DataError, match=rf"context is 'indicator'; expected none with {method}"):
+        parse_recipe_record({**asdict(recipe), "method": method}, "here")
+
+
+def test_a_recipe_for_serving_trains_on_all_objects(recipe: Recipe) -> None:
+    """All 250, and none is left to hold out."""
+    split = parse_recipe_record({**asdict(recipe), "set_up": "all-objects"}, "here").split()
+
+    assert (split.name, len(split.train), split.test) == ("all-objects", 250, ())
+
+
+@pytest.mark.parametrize("set_up", ["different-surfaces", *(f"different-weights-{count}" for count in (0, 1, 2))])
+def test_every_set_up_of_the_paper_can_be_named(recipe: Recipe, set_up: str) -> None:
+    """Its split carries its name."""
+    assert parse_recipe_record({**asdict(recipe), "set_up": set_up}, "here").split().name == set_up
+
+
+def test_a_file_that_is_not_toml_is_refused() -> None:
+    """The message says where and passes on what the parser found."""
+    with pytest.raises(DataError, match="here: not TOML: "):
+        parse_recipe("epochs: 3", "here")
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["push-smell", "nowhere.toml", "../recipes/push-none", ""],
+    ids=["unknown", "no such file", "not a name", "empty"],
+)
+def test_an_unknown_recipe_lists_those_that_exist(name: str) -> None:
+    """The message has every name that would have worked."""
+    with pytest.raises(DataError, match=r"paper, push-indicator, push-none, push-visual or a \.toml file"):
+        read_recipe(name)

@@ -1,0 +1,45 @@
+"""Statistics beside the published ones."""
+
+import numpy as np
+import pytest
+
+from tests.training.copies import plausible_pushes
+from training.inspection.statistics import QUANTITIES, likeness, missed
+from training.omnipush.published import Normalisation, published_normalisation
+
+
+def test_figures_are_means_and_deviations_in_order() -> None:
+    """Pusher, then object; the published numbers stand beside their own quantity."""
+    published = published_normalisation()
+    pushers, outcomes = plausible_pushes(100, 1)
+    figures = likeness(pushers, outcomes, published)
+
+    assert [figure.quantity for figure in figures] == list(QUANTITIES)
+    values = np.column_stack([pushers, outcomes])
+    assert [figure.mean for figure in figures] == pytest.approx(values.mean(axis=0))
+    assert [figure.std for figure in figures] == pytest.approx(values.std(axis=0))
+    assert [figure.published_mean for figure in figures] == [*published.input_mean, *published.output_mean]
+    assert [figure.published_std for figure in figures] == [*published.input_std, *published.output_std]
+
+
+def test_the_ratio_is_one_where_the_spread_is_the_published_one() -> None:
+    """A deviation of 2 beside a published 4 is half of it."""
+    pushers = np.array([[0.0, -2.0, 1.0], [4.0, 2.0, 3.0]])
+    published = Normalisation(np.zeros(3), np.array([2.0, 2.0, 2.0]), np.zeros(3), np.ones(3))
+
+    assert [figure.ratio for figure in likeness(pushers, pushers, published)[:3]] == [1.0, 1.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("outcome", "is_missed"),
+    [
+        ([0.0, 0.0, 0.0], True),
+        ([0.0006, 0.0006, 0.014], True),
+        ([0.0011, 0.0, 0.0], False),
+        ([0.0, -0.0011, 0.0], False),
+        ([0.0, 0.0, -0.016], False),
+    ],
+)
+def test_a_push_that_neither_moved_nor_turned_the_object_missed(outcome: list[float], is_missed: bool) -> None:
+    """A millimetre or 15 mrad, in any direction, is contact; less may be the tracker's noise."""
+    assert missed(np.array([outcome])).tolist() == [is_missed]

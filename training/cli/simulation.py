@@ -1,0 +1,90 @@
+"""``cazsl-train simulate`` and ``images``: the pushes and the pictures that stand in for Omnipush's."""
+
+import hashlib
+import time
+from pathlib import Path
+from typing import Final
+
+import click
+
+from training.cli.errors import mend
+from training.inspection.statistics import likeness, missed
+from training.inspection.text import likeness_lines
+from training.inspection.views import VIEWS_FOLDER
+from training.omnipush.published import different_surfaces, omnipush_descriptors, published_normalisation
+from training.omnipush.pushes import read_folder
+from training.simulation import dataset as simulate
+from training.simulation import drawing as images
+from training.simulation.surfaces import ABS, SURFACES
+
+SIMULATED: Final = Path("data/simulated")
+DEFAULT_DATA: Final = SIMULATED / ABS.name
+DEFAULT_VIEWS: Final = SIMULATED / VIEWS_FOLDER
+DEFAULT_CAMERA_VIEWS: Final = SIMULATED / f"{VIEWS_FOLDER}-camera"
+
+
+@click.command("simulate")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=SIMULATED)
+@click.option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="The plate.")
+@click.option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that is random.")
+@click.option("--threads", type=click.IntRange(1, 1024), help="Threads; the files are the same. [default: all cores]")
+@mend
+def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads: int | None) -> None:
+    """Simulate the default datasets in Omnipush's file format: FOLDER/abs, FOLDER/plywood, FOLDER/top-down_view.
+
+    All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, in MuJoCo, and drawn from above.
+    What is already there stays; the default FOLDER is data/simulated.
+    """
+    for name in SURFACES if surface == "all" else (surface,):
+        objects = omnipush_descriptors() if name == ABS.name else different_surfaces().test
+        plan = simulate.SimulationPlan(objects, pushes, seed, SURFACES[name])
+        started = time.perf_counter()
+        simulated = simulate.simulate_dataset(plan, folder / name, threads)
+        _describe_pushes(folder / name, simulated, time.perf_counter() - started)
+        images.write_views(folder / VIEWS_FOLDER, objects)
+    click.echo(f"{folder / VIEWS_FOLDER}: what they look like from above; next: cazsl-train fit push-indicator")
+
+
+def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
+    """How long it took, what is there, and its statistics beside the published ones."""
+    found = read_folder(folder)
+    if simulated:
+        click.echo(f"{simulated} pushes took {seconds:.0f} s, {1e3 * seconds / simulated:.1f} ms a push")
+    click.echo(f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, ", nl=False)
+    pushers, outcomes = found.rows()
+    click.echo(f"{100 * missed(outcomes).mean():.2f} % missed the object; sha256 {found.digest}")
+    click.echo("\n".join(likeness_lines(likeness(pushers, outcomes, published_normalisation()))))
+
+
+@click.command("images")
+@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), required=False)
+@click.option("--camera", is_flag=True, help="As a camera would see them: light, table, blur, noise, JPEG.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that --camera adds.")
+@click.option(
+    "--gallery",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Only draw this PNG: some objects as drawn, as a camera sees them, and as a model does.",
+)
+@mend
+def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
+    """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
+
+    FOLDER is data/simulated/top-down_view, with --camera data/simulated/top-down_view-camera, unless named. Views that
+    are already there stay; the files depend on object and seed alone.
+    """
+    if gallery is not None:
+        from training.inspection.view_gallery import (
+            draw_gallery,  # matplotlib is slow to load, and no other command needs it
+        )
+
+        draw_gallery(gallery, seed=seed)
+        click.echo(f"{gallery} shows clean views, camera views, and the 32 x 32 that a model sees")
+        return
+    folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
+    descriptors = omnipush_descriptors()
+    images.write_views(folder, descriptors, camera, seed)
+    seen = images.read_views(folder, descriptors)
+    digest = hashlib.sha256(seen.tobytes()).hexdigest()
+    click.echo(f"{folder}: {len(seen)} views of 481 x 481; sha256 of the 32 x 32 that models see: {digest}")
+    click.echo("next: cazsl-train images --gallery views.png, and look at it")

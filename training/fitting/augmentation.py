@@ -1,0 +1,113 @@
+"""More pushes than were made, from what physics promises: symmetric scenes, and pushes that miss.
+
+An object's frame is a choice of which side is called the first, so a scene turned by quarters in it is a scene of the
+object turned. Shapes and weights are symmetric about their side's axis, so the mirrored scene is one of the object
+whose sides 2 and 4 are swapped. And a push that touches nothing moves nothing. The published data hold almost none of
+the last, and each object under one name only.
+"""
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from service.pushing.contexts import BITS_PER_SIDE, PUSH_LENGTH_M, SIDES
+from training.fitting.samples import Samples
+from training.networks.angles import wrapped
+from training.omnipush.published import published_normalisation
+
+# No object reaches further from its centre, the pusher's radius included: Omnipush's pushes start outside of it.
+REACH_M: Final = 0.0755
+FURTHEST_START_M: Final = 0.300
+Floats = npt.NDArray[np.float64]
+
+
+def augmented(samples: Samples, symmetries: bool, no_contact: float, rng: np.random.Generator) -> Samples:
+    """Samples of a batch, each object turned and mirrored at random, a share of the pushes replaced by ones that miss.
+
+    What is drawn depends on the generator alone.
+    """
+    objects = len(samples.inputs)
+    if symmetries:
+        quarter_turns, mirrored = rng.integers(SIDES, size=objects), rng.integers(2, size=objects)
+        samples = in_symmetric_frames(samples, torch.from_numpy(quarter_turns), torch.from_numpy(mirrored))
+    if no_contact > 0.0:
+        chosen = rng.uniform(size=samples.valid.shape) < no_contact
+        missing = missing_pushers(chosen.size, rng).reshape(*chosen.shape, 3)
+        samples = _with_misses(samples, torch.from_numpy(chosen), missing)
+    return samples
+
+
+def in_symmetric_frames(samples: Samples, quarter_turns: Tensor, mirrored: Tensor) -> Samples:
+    """The samples of each object mirrored about its x axis (0 or 1), then turned by that many times +90 degrees.
+
+    Both are (objects,) integers. Contexts follow: indicators by sides, views as pictures with x right and y up.
+    """
+    device = samples.inputs.device
+    quarter_turns, mirrored = quarter_turns.to(device), mirrored.to(device)
+    known = published_normalisation()
+    handedness = 1.0 - 2.0 * mirrored.float()
+    cosine, sine = torch.tensor([[1.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]], device=device)[:, quarter_turns]
+    # (objects, 2, 2), the transpose of turn @ mirror: rows of positions are multiplied from the left
+    change = torch.stack([cosine, sine, -sine * handedness, cosine * handedness], dim=-1).reshape(-1, 2, 2)
+
+    def moved(poses: Tensor, mean: Floats, std: Floats, quarters: Tensor) -> Tensor:
+        """Normalised poses (objects, pushes, 3) in the new frames."""
+        centre, scale = (torch.tensor(value, dtype=torch.float32, device=device) for value in (mean, std))
+        position, angle = torch.split(poses * scale + centre, [2, 1], dim=-1)
+        turned = wrapped(handedness[:, None, None] * angle + quarters[:, None, None] * (math.pi / 2.0))
+        return (torch.cat([position @ change, turned], dim=-1) - centre) / scale
+
+    return replace(
+        samples,
+        inputs=moved(samples.inputs, known.input_mean, known.input_std, quarter_turns),
+        targets=moved(samples.targets, known.output_mean, known.output_std, torch.zeros_like(quarter_turns)),
+        context=_symmetric_context(samples.context, quarter_turns, mirrored),
+    )
+
+
+def missing_pushers(count: int, rng: np.random.Generator) -> Floats:
+    """Random pusher poses (count, 3) whose whole path misses every object; x_m, y_m, angle_rad.
+
+    They start from where the benchmark's do to far away, nearer ones more often, and go anywhere but through the reach
+    of the objects: those that would are turned about.
+    """
+    radius = REACH_M + (FURTHEST_START_M - REACH_M) * rng.uniform(size=count) ** 3
+    bearing, angle = rng.uniform(-np.pi, np.pi, (2, count))
+    start = radius[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
+    along = np.clip(-radius * np.cos(angle - bearing), 0.0, PUSH_LENGTH_M)  # of the path, to its nearest point
+    nearest = start + along[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+    touching = np.hypot(*nearest.T) < REACH_M
+    angle = np.where(touching, angle + np.pi, angle)
+    return np.column_stack([start, np.arctan2(np.sin(angle), np.cos(angle))])
+
+
+def _with_misses(samples: Samples, chosen: Tensor, pushers: Floats) -> Samples:
+    """The samples with these pushers, and no motion, where chosen."""
+    known = published_normalisation()
+    inputs = torch.from_numpy((pushers - known.input_mean) / known.input_std).to(samples.inputs)
+    rest = torch.from_numpy(-known.output_mean / known.output_std).to(samples.targets)
+    where = chosen.to(samples.inputs.device)[..., None]
+    return replace(
+        samples,
+        inputs=torch.where(where, inputs, samples.inputs),
+        targets=torch.where(where, rest, samples.targets),
+    )
+
+
+def _symmetric_context(context: Tensor, quarter_turns: Tensor, mirrored: Tensor) -> Tensor:
+    """Contexts of the objects mirrored, then turned; (objects, 0) has nothing to change."""
+    if context.shape[-1] == 0:
+        return context
+    if context.dim() == 2:
+        sides = torch.arange(SIDES, device=context.device) - quarter_turns[:, None]  # (objects, 4): where each was
+        sides = torch.where(mirrored[:, None] > 0, -sides, sides) % SIDES
+        by_side = context.reshape(-1, SIDES, BITS_PER_SIDE)
+        return by_side.take_along_dim(sides[..., None], dim=1).flatten(1)
+    upright = torch.where(mirrored[:, None, None, None] > 0, context.flip(-2), context)
+    turned = torch.stack([torch.rot90(upright, quarters, (-2, -1)) for quarters in range(SIDES)])
+    return turned[quarter_turns, torch.arange(len(context), device=context.device)]

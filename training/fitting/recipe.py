@@ -1,0 +1,155 @@
+"""Recipes: one small file per model, everything that its training depends on besides the data."""
+
+import math
+import tomllib
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields
+from functools import partial
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from service.errors import DataError
+from service.model.manifest import is_name
+from service.pushing.contexts import ContextKind
+from training.networks.methods import METHODS, Method
+from training.omnipush.published import Split, all_objects, different_objects, different_surfaces, different_weights
+
+SET_UPS: Final[dict[str, Callable[[], Split]]] = {
+    "all-objects": all_objects,
+    "different-objects": different_objects,
+    "different-surfaces": different_surfaces,
+    **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
+}
+CIRCULAR: Final = "circular"
+ANGLES: Final = ("raw", CIRCULAR)
+PRECISIONS: Final = ("auto", "float32", "bfloat16")
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """One training run, whole."""
+
+    name: str  # of the model in the registry
+    method: str  # a row of the paper's tables
+    context: str  # kind of context: none, indicator or visual
+    set_up: str
+    epochs: int
+    batch_objects: int  # objects per mini-batch, each with all its pushes
+    learning_rate: float  # of Adam; with warm-up the highest
+    warm_up_steps: int  # steps to the highest rate, which then falls with the root of the step; 0: a constant rate
+    lambda_1: float
+    lambda_2: float
+    precision: (
+        str  # of the wide matrix products: float32, bfloat16, or auto: bfloat16 where the processor multiplies it
+    )
+    seed: int
+    # Beyond the paper. Every default is the paper's training, and a record leaves out what is at its default.
+    angle: str = "raw"  # of the push, as the first layer takes it: raw radians, or circular: cosine and sine
+    symmetries: bool = False  # turn and mirror each object of a batch at random
+    no_contact: float = 0.0  # share of pushes that are replaced by pushes that miss
+    least_std: float = 0.0  # added to every predicted std, normalised: what even a perfect model could not know
+    cooling_epochs: int = 0  # at the end, in which the learning rate falls to 0 along half a cosine
+
+    def network(self) -> Method:
+        """The method that the recipe names."""
+        return METHODS[self.method]
+
+    @property
+    def context_kind(self) -> ContextKind:
+        """What the network wants to know of the object."""
+        return ContextKind(self.context)
+
+    def split(self) -> Split:
+        """The objects to train on and to hold out."""
+        return SET_UPS[self.set_up]()
+
+    def record(self) -> dict[str, str | int | float | bool]:
+        """The recipe as a flat document, without what is at its default."""
+        found = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
+        return {name: value for name, (value, default) in found.items() if value != default}
+
+
+def read_recipe(name_or_path: str) -> Recipe:
+    """A recipe that ships with the trainer, by name, or any file, by path.
+
+    Raises:
+        DataError: there is none, or a field is missing, unknown or impossible.
+    """
+    path = Path(name_or_path)
+    shipped = resources.files("training.recipes").joinpath(f"{path.name}.toml")
+    if path.suffix == ".toml" and path.is_file():
+        content = path.read_bytes()
+    elif path.name == name_or_path and shipped.is_file():
+        content = shipped.read_bytes()
+    else:
+        raise DataError(f"there is no recipe {name_or_path}; give one of {', '.join(recipe_names())} or a .toml file")
+    return parse_recipe(content.decode("utf-8", "replace"), name_or_path)
+
+
+def parse_recipe(text: str, where: str) -> Recipe:
+    """Read a recipe's text.
+
+    Raises:
+        DataError: names the field at fault.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise DataError(f"{where}: not TOML: {error}") from error
+    return parse_recipe_record(values, where)
+
+
+def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
+    """Read a recipe from a flat document, as a recipe file or a run's record holds it.
+
+    Raises:
+        DataError: names the field at fault.
+    """
+    wanted = {field.name: field.type for field in fields(Recipe)}
+    required = {field.name for field in fields(Recipe) if field.default is MISSING}
+    if not required <= set(values) <= set(wanted):
+        odd = ", ".join(sorted((required - set(values)) | (set(values) - set(wanted))))
+        raise DataError(f"{where}: missing or unknown: {odd}; a recipe has {', '.join(wanted)}")
+    for key, value in values.items():
+        kind = wanted[key]
+        if type(value) is not kind:
+            raise DataError(f"{where}: {key} is {value!r}; expected {getattr(kind, '__name__', kind)}")
+    if values["method"] not in METHODS:
+        raise DataError(f"{where}: method is {values['method']!r}; expected one of {', '.join(METHODS)}")
+    if values["set_up"] not in SET_UPS:
+        raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(SET_UPS)}")
+    kinds = [str(kind) for kind in ContextKind if METHODS[values["method"]].takes(kind)]
+    if values["context"] not in kinds:
+        accepted = f"{' or '.join(kinds)} with {values['method']}"
+        raise DataError(f"{where}: context is {values['context']!r}; expected {accepted}")
+    if values["precision"] not in PRECISIONS:
+        raise DataError(f"{where}: precision is {values['precision']!r}; expected one of {', '.join(PRECISIONS)}")
+    for key in ("epochs", "batch_objects", "learning_rate"):
+        if not 0 < values[key] < math.inf:
+            raise DataError(f"{where}: {key} is {values[key]}; expected more than 0")
+    for key in ("lambda_1", "lambda_2", "warm_up_steps", "seed"):
+        if not 0 <= values[key] < math.inf:
+            raise DataError(f"{where}: {key} is {values[key]}; expected 0 or more")
+    _check_beyond_paper(Recipe(**values), where)
+    if not is_name(values["name"]):
+        raise DataError(f"{where}: name is {values['name']!r}; expected lower-case letters, digits, '-' and '_'")
+    return Recipe(**values)
+
+
+def _check_beyond_paper(recipe: Recipe, where: str) -> None:
+    """Hold the fields that have defaults."""
+    if recipe.angle not in ANGLES:
+        raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(ANGLES)}")
+    if not 0.0 <= recipe.no_contact < 1.0:
+        raise DataError(f"{where}: no_contact is {recipe.no_contact}; expected 0 or more, and less than 1")
+    if not 0.0 <= recipe.least_std < math.inf:
+        raise DataError(f"{where}: least_std is {recipe.least_std}; expected 0 or more")
+    if not 0 <= recipe.cooling_epochs <= recipe.epochs:
+        raise DataError(f"{where}: cooling_epochs is {recipe.cooling_epochs}; expected 0 to all {recipe.epochs} epochs")
+
+
+def recipe_names() -> list[str]:
+    """The recipes that ship with the trainer."""
+    files = resources.files("training.recipes").iterdir()
+    return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))

@@ -1,0 +1,142 @@
+"""What a network is fitted to: normalised tensors by object, and the record of where they come from."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from service.errors import DataError
+from service.pushing.contexts import ContextKind, FloatArray
+from training.networks.push_network import Shape
+from training.omnipush.published import Split, published_normalisation
+from training.omnipush.pushes import Pushes, read_folder
+from training.simulation.drawing import read_views
+
+AnyArray = npt.NDArray[np.floating[Any]]
+VIEWS_FOLDER: Final = "top-down_view"
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Inputs and targets of objects (or, in the paper's regression, of parameter sets) as the networks take them."""
+
+    inputs: Tensor  # (objects, samples, inputs)
+    targets: Tensor  # (objects, samples, outputs)
+    valid: Tensor  # (objects, samples): 1 for a sample, 0 for padding
+    context: Tensor  # (objects, *context)
+    target_std: tuple[float, ...]  # what 1 stands for in each output: metres, metres, radians for pushes
+
+    @classmethod
+    def of(cls, pushes: Pushes, kind: ContextKind) -> "Samples":
+        """Normalise pushes with the published statistics; contexts of this kind.
+
+        Raises:
+            DataError: the kind is visual and the pushes were read without views.
+        """
+        known = published_normalisation()
+        inputs = (pushes.pushers - known.input_mean) / known.input_std
+        targets = (pushes.outcomes - known.output_mean) / known.output_std
+        return cls.of_arrays(inputs, targets, pushes.valid, contexts(pushes, kind), tuple(known.output_std.tolist()))
+
+    @classmethod
+    def of_arrays(
+        cls, inputs: AnyArray, targets: AnyArray, valid: AnyArray, context: AnyArray, target_std: tuple[float, ...]
+    ) -> "Samples":
+        """Numbers as float32 tensors."""
+        tensors = [torch.from_numpy(array.astype(np.float32)) for array in (inputs, targets, valid, context)]
+        return cls(tensors[0], tensors[1], tensors[2], tensors[3], target_std)
+
+    @property
+    def shape(self) -> Shape:
+        """What goes into and comes out of a network for them."""
+        return Shape(tuple(self.context.shape[1:]), self.inputs.shape[-1], self.targets.shape[-1])
+
+    def select(self, objects: Tensor) -> "Samples":
+        """Those of some objects, in this order."""
+        return self._map(lambda tensor: tensor[objects])
+
+    def singly(self) -> "Samples":
+        """Every sample as an object of its own, with its object's context; padding is left out."""
+        present = self.valid > 0
+        return Samples(
+            self.inputs[present][:, None],
+            self.targets[present][:, None],
+            self.valid[present][:, None],
+            self.context.repeat_interleave(present.sum(dim=1), dim=0),
+            self.target_std,
+        )
+
+    def to(self, device: torch.device) -> "Samples":
+        """The same on this device."""
+        return self._map(lambda tensor: tensor.to(device))
+
+    def _map(self, change: Callable[[Tensor], Tensor]) -> "Samples":
+        inputs, targets, valid, context = map(change, (self.inputs, self.targets, self.valid, self.context))
+        return Samples(inputs, targets, valid, context, self.target_std)
+
+
+def contexts(pushes: Pushes, kind: ContextKind) -> FloatArray:
+    """The context of each object: (objects, 0), (objects, 36) or (objects, 1, 32, 32) in 0..1."""
+    if kind is ContextKind.NONE:
+        return np.zeros((len(pushes.descriptors), 0), dtype=np.float32)
+    if kind is ContextKind.INDICATOR:
+        return pushes.indicators
+    if pushes.views is None:
+        raise DataError(f"the pushes of {pushes.source} were read without top-down views; a visual context needs them")
+    return pushes.views.astype(np.float32) / np.float32(255.0)  # as VisualContext.tensor does
+
+
+@dataclass(frozen=True)
+class TrainingData:
+    """What a run is fitted to, what it is held to, and what its record says of both."""
+
+    train: Samples
+    held_out: Samples
+    origin: dict[str, str]  # source and sha256, of the held-out surface as well where it is another
+
+    @classmethod
+    def of(cls, split: Split, kind: ContextKind, pushes: Pushes, test_pushes: Pushes | None = None) -> "TrainingData":
+        """The split's objects; those held out come from ``test_pushes`` where the split tests on another surface.
+
+        Raises:
+            DataError: objects are missing.
+        """
+        held_out = pushes if test_pushes is None else test_pushes
+        origin = {"source": pushes.source, "sha256": pushes.digest}
+        if test_pushes is not None:
+            origin |= {"held_out_source": test_pushes.source, "held_out_sha256": test_pushes.digest}
+        train, test = pushes.select(split.train), held_out.select(split.test)
+        return cls(Samples.of(train, kind), Samples.of(test, kind), origin)
+
+
+def read_training_data(split: Split, kind: ContextKind, folder: Path, views: Path | None = None) -> TrainingData:
+    """Read a surface's folder for a split; a split that tests on another surface has its folder beside this one.
+
+    Raises:
+        DataError: files or objects are missing or damaged.
+    """
+    pushes = read_pushes(folder, kind, views)
+    other = None if split.test_surface is None else read_pushes(folder.parent / split.test_surface, kind, views)
+    return TrainingData.of(split, kind, pushes, other)
+
+
+def read_pushes(folder: Path, kind: ContextKind, views: Path | None = None) -> Pushes:
+    """Pushes of a folder, with the views of their objects where contexts are visual; see ``views_beside``.
+
+    Raises:
+        DataError: files are missing or damaged.
+    """
+    pushes = read_folder(folder)
+    if kind is not ContextKind.VISUAL:
+        return pushes
+    return pushes.with_views(read_views(views or views_beside(folder), pushes.descriptors))
+
+
+def views_beside(folder: Path) -> Path:
+    """Where the top-down views of a surface's objects are unless said otherwise: beside it, as Omnipush has them."""
+    return folder.parent / VIEWS_FOLDER

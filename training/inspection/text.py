@@ -1,0 +1,117 @@
+"""An inspection as a person reads it, and as a program does."""
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
+
+from training.inspection.findings import Finding, Severity
+from training.inspection.inspection import Inspection, SurfaceReport
+from training.inspection.object_lists import Membership
+from training.inspection.statistics import Likeness
+from training.omnipush.layout import SurfaceKind
+
+SHOWN: Final = 20  # findings of one kind; --json has all of them
+
+
+def inspection_lines(inspection: Inspection) -> Iterator[str]:
+    """The report, what is odd, and what to do next."""
+    for report in inspection.surfaces:
+        yield from _surface_lines(report)
+        yield ""
+    for severity in Severity:
+        findings = inspection.of(severity)
+        if findings:
+            yield f"{severity}s, on which training would be wrong:" if severity is Severity.ERROR else f"{severity}s:"
+        for finding in findings[:SHOWN]:
+            yield f"  {finding.code}: {_located(finding)}"
+        if len(findings) > SHOWN:
+            yield f"  ... and {len(findings) - SHOWN} more; --json lists all"
+    yield next_step(inspection)
+
+
+def next_step(inspection: Inspection) -> str:
+    """The last line: what to do now."""
+    errors, warnings = (len(inspection.of(severity)) for severity in Severity)
+    told = f"{errors} {'error' if errors == 1 else 'errors'}, {warnings} {'warning' if warnings == 1 else 'warnings'}"
+    if not inspection.fit_to_train_on:
+        return f"{told}; next: mend the errors, then cazsl-train data check {inspection.folder}"
+    trained = [report.folder for report in inspection.surfaces if report.surface is SurfaceKind.ABS]
+    if not trained:
+        return f"{told}; next: train on ABS and use this surface to test: cazsl-train fit push-indicator"
+    return f"{told}; next: cazsl-train fit push-indicator --data {trained[0]}"
+
+
+def inspection_document(inspection: Inspection) -> dict[str, Any]:
+    """The report for programs; SI units, names as in the text."""
+    return {
+        "folder": str(inspection.folder),
+        "fit_to_train_on": inspection.fit_to_train_on,
+        "surfaces": [_surface_document(report) for report in inspection.surfaces],
+        "findings": [
+            {"severity": found.severity, "code": found.code, "where": found.where, "message": found.message}
+            for found in inspection.findings
+        ],
+        "next": next_step(inspection),
+    }
+
+
+def likeness_lines(figures: Iterable[Likeness]) -> Iterator[str]:
+    """Statistics beside the published ones, as a table."""
+    yield f"{'':18}{'mean':>10}{'published':>11}{'std':>10}{'published':>11}{'ratio':>7}"
+    for figure in figures:
+        yield (
+            f"{figure.quantity:18}{figure.mean:10.5f}{figure.published_mean:11.5f}"
+            f"{figure.std:10.5f}{figure.published_std:11.5f}{figure.ratio:7.3f}"
+        )
+
+
+def _located(finding: Finding) -> str:
+    """The message; it names its file itself, or the surface is put in front."""
+    return finding.message if finding.where in finding.message else f"{finding.where}: {finding.message}"
+
+
+def _surface_lines(report: SurfaceReport) -> Iterator[str]:
+    fewest, median, most = report.rows
+    precisions = ", ".join(f"{count} {dtype}" for dtype, count in sorted(report.dtypes.items()))
+    yield f"{report.folder}: {report.surface}, {report.source}"
+    yield f"  objects  {report.objects}: {_members(report.membership)}"
+    yield f"  pushes   {report.pushes}, {fewest} to {most} an object, median {median:g}"
+    yield f"  files    {report.raw_pairs} raw pairs, {report.normalised_pairs} normalised; {precisions}"
+    yield f"  contact  {100 * report.missed_share:.2f} % of the pushes moved nothing"
+    yield f"  views    {report.views} of {report.objects} objects have a top-down view"
+    yield from (f"  {line}" for line in likeness_lines(report.figures))
+
+
+def _members(found: Membership) -> str:
+    parts = [f"{len(each.present)} of {len(each.present) + len(each.missing)} {each.name}" for each in found.lists]
+    return ", ".join([*parts, f"{len(found.turned)} under a turned name", f"{len(found.extra)} extra"])
+
+
+def _surface_document(report: SurfaceReport) -> dict[str, Any]:
+    fewest, median, most = report.rows
+    return {
+        "surface": report.surface,
+        "folder": str(report.folder),
+        "source": report.source,
+        "objects": report.objects,
+        "pushes": report.pushes,
+        "rows_per_object": {"min": fewest, "median": median, "max": most},
+        "raw_pairs": report.raw_pairs,
+        "normalised_pairs": report.normalised_pairs,
+        "dtypes": report.dtypes,
+        "missed_share": report.missed_share,
+        "views": report.views,
+        "statistics": {
+            figure.quantity: {
+                "mean": figure.mean,
+                "published_mean": figure.published_mean,
+                "std": figure.std,
+                "published_std": figure.published_std,
+            }
+            for figure in report.figures
+        },
+        "published_objects": {
+            each.name: {"present": each.present, "missing": each.missing} for each in report.membership.lists
+        },
+        "turned": report.membership.turned,
+        "extra": report.membership.extra,
+    }

@@ -1,0 +1,88 @@
+"""What is learnt of a context alone: its encoding for the first layer, and the distances of the context regulariser.
+
+Everything here runs once per object, never once per push.
+"""
+
+from typing import Final
+
+import torch
+from torch import Tensor, nn
+
+from service.pushing.contexts import VISUAL_SIZE
+from training.networks.methods import ContextDistance
+
+CHANNELS: Final = 4
+KERNEL_HIDDEN: Final = 10
+KERNEL_VECTOR: Final = 5  # phi of a context vector
+KERNEL_VISUAL: Final = 10  # phi of a visual context
+
+
+def context_encoder(context_shape: tuple[int, ...], width: int) -> nn.Module:
+    """From contexts (objects, *context_shape) to (objects, width): one dense layer, or the visual encoder."""
+    return nn.Linear(context_shape[0], width) if len(context_shape) == 1 else VisualEncoder(width)
+
+
+class VisualEncoder(nn.Module):
+    """Two times (conv 3x3, batch norm, ReLU, max-pool 2), then a dense layer: (objects, 1, 32, 32) to (objects, width).
+
+    Batch norm counts each object once; the published loop, which repeats the context for every push, finds the same
+    mean and variance. (The ReLU between pooling and dense layer, in the published list, changes nothing after a ReLU.)
+    """
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.convolutions = nn.Sequential(*_convolution(1), *_convolution(CHANNELS))
+        self.dense = nn.Linear(CHANNELS * (VISUAL_SIZE // 4) ** 2, width)
+
+    def forward(self, context: Tensor) -> Tensor:
+        """Encode views in 0..1."""
+        encoded: Tensor = self.dense(self.convolutions(context).flatten(1))
+        return encoded
+
+
+def _convolution(channels: int) -> tuple[nn.Module, ...]:
+    return nn.Conv2d(channels, CHANNELS, 3, padding=1), nn.BatchNorm2d(CHANNELS), nn.ReLU(), nn.MaxPool2d(2)
+
+
+class EuclideanDistance(nn.Module):
+    """``d(c, c') = |c - c'|`` of the vectorised contexts."""
+
+    def forward(self, first: Tensor, second: Tensor) -> Tensor:
+        """Distances (pairs,) of contexts (pairs, ...)."""
+        distance: Tensor = torch.linalg.vector_norm((first - second).flatten(1), dim=-1)
+        return distance
+
+
+class KernelDistance(nn.Module):
+    """``d(c, c') = phi(c) . phi(c')``; phi is ``W2 max(0, W1 x)``, of an image ``W avg-pool(max(0, conv(x)))``."""
+
+    def __init__(self, context_shape: tuple[int, ...]) -> None:
+        super().__init__()
+        if len(context_shape) == 1:
+            layers: tuple[nn.Module, ...] = (
+                nn.Linear(context_shape[0], KERNEL_HIDDEN),
+                nn.ReLU(),
+                nn.Linear(KERNEL_HIDDEN, KERNEL_VECTOR),
+            )
+        else:
+            pooled = (VISUAL_SIZE - 8) // 4 + 1
+            layers = (
+                nn.Conv2d(1, CHANNELS, 3, padding=1),
+                nn.ReLU(),
+                nn.AvgPool2d(8, stride=4),
+                nn.Flatten(),
+                nn.Linear(CHANNELS * pooled**2, KERNEL_VISUAL),
+            )
+        self.phi = nn.Sequential(*layers)
+
+    def forward(self, first: Tensor, second: Tensor) -> Tensor:
+        """Inner products (pairs,) of the embeddings of contexts (pairs, ...)."""
+        product: Tensor = (self.phi(first) * self.phi(second)).sum(dim=-1)
+        return product
+
+
+def context_distance(distance: ContextDistance, context_shape: tuple[int, ...]) -> nn.Module | None:
+    """The distance of a method's regulariser, None where it has no regulariser."""
+    if distance is ContextDistance.KERNEL:
+        return KernelDistance(context_shape)
+    return EuclideanDistance() if distance is ContextDistance.EUCLIDEAN else None

@@ -1,0 +1,230 @@
+"""Omnipush-format folders to arrays, and a digest of what was read.
+
+A folder holds, for each object, ``<descriptor>..._X_3_not_norm.npy`` (pusher poses) and the same name with ``y`` for
+``X`` (object poses after the push), both [pushes, 3] in metres, metres, radians in the object frame. An object that is
+there in the normalised variant alone is read with the published statistics. A folder that this project simulated also
+holds ``dataset.json``, which says so: everything made from it carries that name.
+"""
+
+import hashlib
+import json
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import DataError
+from service.pushing.contexts import INDICATOR_LENGTH, FloatArray, ObjectContext
+from training.omnipush.files import (
+    Array,
+    FilePair,
+    Variant,
+    check_lengths,
+    list_folder,
+    parse_array,
+    read_content,
+    read_pair,
+    write_pair,
+    write_whole,
+    writing,
+)
+from training.omnipush.layout import surface_folders
+from training.omnipush.object_identity import find_kinds
+from training.omnipush.published import published_normalisation
+
+PUSHER_SUFFIX: Final = Variant.RAW.pusher_suffix
+OUTCOME_SUFFIX: Final = Variant.RAW.outcome_suffix
+DATASET_FILE: Final = "dataset.json"
+UNKNOWN_SOURCE: Final = "Omnipush-format files of undeclared origin"
+
+
+@dataclass(frozen=True)
+class Pushes:
+    """Pushes of some objects as dense arrays; objects with fewer rows than others are padded, ``valid`` says where."""
+
+    descriptors: tuple[str, ...]
+    pushers: FloatArray  # (objects, rows, 3), x_m, y_m, angle_rad
+    outcomes: FloatArray  # (objects, rows, 3), x_m, y_m, yaw_rad
+    valid: FloatArray  # (objects, rows), 1 for a push, 0 for padding
+    source: str
+    digest: str  # sha256 of the names and bytes of every file read
+    views: npt.NDArray[np.uint8] | None = None  # (objects, 1, 32, 32), the visual context of each object, if read
+
+    @property
+    def indicators(self) -> FloatArray:
+        """The indicator context of each object, (objects, 36)."""
+        found = [ObjectContext.from_descriptor(name).indicator() for name in self.descriptors]
+        return np.array(found, dtype=np.float32).reshape(-1, INDICATOR_LENGTH)
+
+    @property
+    def count(self) -> int:
+        """Number of pushes, padding left out."""
+        return int(self.valid.sum())
+
+    def rows(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Pushers and outcomes of all objects, (n, 3) each, padding left out."""
+        present = self.valid > 0
+        return self.pushers[present].astype(np.float64), self.outcomes[present].astype(np.float64)
+
+    def select(self, descriptors: Sequence[str]) -> "Pushes":
+        """The same pushes of these objects only, in this order; source and digest stay those of the folder read.
+
+        Objects are found up to rotation by whole sides, as in the benchmark; one that is there under a turned
+        descriptor keeps it, because its pushes are in the frame of that descriptor.
+
+        Raises:
+            DataError: an object is not there, or there twice.
+        """
+        found = find_kinds(descriptors, self.descriptors)
+        rows = [self.descriptors.index(descriptor) for descriptor in found]
+        return replace(
+            self,
+            descriptors=tuple(found),
+            pushers=self.pushers[rows],
+            outcomes=self.outcomes[rows],
+            valid=self.valid[rows],
+            views=None if self.views is None else self.views[rows],
+        )
+
+    def with_views(self, views: npt.NDArray[np.uint8]) -> "Pushes":
+        """The same pushes with the visual context of each object, (objects, 1, 32, 32); the digest covers both."""
+        digest = hashlib.sha256(self.digest.encode() + views.tobytes()).hexdigest()
+        return replace(self, views=views, digest=digest)
+
+
+def read_folder(folder: Path) -> Pushes:
+    """Every object of an Omnipush-format folder.
+
+    Raises:
+        DataError: names the file at fault, what was expected and what to do.
+    """
+    if not folder.is_dir():
+        raise DataError(f"{folder} is not a folder of pushes; run 'make data' or name another with --data")
+    listing = list_folder(folder)
+    if listing.faults:
+        raise listing.faults[0]
+    if not listing.pairs:
+        below = " or ".join(str(path) for path in surface_folders(folder))
+        way_out = f"name {below} with --data" if below else "run 'make data' or name another folder with --data"
+        raise DataError(f"{folder} holds no *{PUSHER_SUFFIX} file; {way_out}")
+    pairs, digest = list(listing.pairs.values()), hashlib.sha256()
+    pusher_files = [_read_array(pair.pusher, digest) for pair in pairs]
+    outcome_files = [_read_array(pair.outcome, digest) for pair in pairs]
+    pushers, outcomes = zip(*map(_in_si, pairs, pusher_files, outcome_files), strict=True)
+    rows = max(len(array) for array in pushers)
+    valid = np.array([[1.0] * len(array) + [0.0] * (rows - len(array)) for array in pushers], dtype=np.float32)
+    return Pushes(
+        tuple(listing.pairs),
+        _padded(pushers, rows),
+        _padded(outcomes, rows),
+        valid,
+        read_source(folder),
+        digest.hexdigest(),
+    )
+
+
+def read_object(pair: FilePair) -> tuple[Array, Array]:
+    """One object's pushers and outcomes in SI units, float64 [pushes, 3] each.
+
+    Raises:
+        DataError: names the file at fault, what was expected and what to do.
+    """
+    pushers, outcomes = read_pair(pair)
+    return _in_si(pair, pushers.astype(np.float64), outcomes.astype(np.float64))
+
+
+def write_object(
+    folder: Path,
+    descriptor: str,
+    pushers: Array,
+    outcomes: Array,
+    variants: Collection[Variant] = (Variant.RAW,),
+) -> None:
+    """Write one object's pushes; the raw outcome file comes last, so that whoever sees it sees the whole object.
+
+    Raises:
+        DataError: the folder cannot be written.
+    """
+    if Variant.NORMALISED in variants:
+        write_pair(folder, descriptor, Variant.NORMALISED, *published_normalisation().normalised(pushers, outcomes))
+    if Variant.RAW in variants:
+        write_pair(folder, descriptor, Variant.RAW, pushers, outcomes)
+
+
+def has_object(folder: Path, descriptor: str) -> bool:
+    """Whether both files of an object are there."""
+    return all((folder / (descriptor + suffix)).is_file() for suffix in (PUSHER_SUFFIX, OUTCOME_SUFFIX))
+
+
+def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
+    """Write down what a folder holds before anything is in it, or check that it is what is already there.
+
+    Raises:
+        DataError: the folder holds something else, or cannot be written.
+    """
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    path = folder / DATASET_FILE
+    text = json.dumps(declaration, indent=2, sort_keys=True) + "\n"
+    if path.exists():
+        if path.read_bytes() != text.encode():
+            raise DataError(f"{path} declares another dataset; give an empty folder, or remove this one")
+    elif any(folder.glob("*.npy")):
+        raise DataError(f"{folder} already holds pushes that nothing declares as simulated; give an empty folder")
+    else:
+        write_whole(path, text.encode())
+
+
+def _read_array(path: Path, digest: "hashlib._Hash") -> Array:
+    content = read_content(path)
+    digest.update(f"{path.name}\0{len(content)}\0".encode())
+    digest.update(content)
+    return parse_array(path, content).astype(np.float64)
+
+
+def _in_si(pair: FilePair, pushers: Array, outcomes: Array) -> tuple[Array, Array]:
+    check_lengths(pair, pushers, outcomes)
+    if pair.variant is Variant.RAW:
+        return pushers, outcomes
+    return published_normalisation().in_si(pushers, outcomes)
+
+
+def _padded(arrays: Iterable[npt.NDArray[np.float64]], rows: int) -> FloatArray:
+    return np.stack([np.pad(array, ((0, rows - len(array)), (0, 0))) for array in arrays]).astype(np.float32)
+
+
+def copy_declaration(folder: Path, target: Path) -> None:
+    """Make a target for the pushes of a folder: declared as that folder is, or empty of pushes where nothing is.
+
+    Raises:
+        DataError: the target holds something else, or cannot be written.
+    """
+    path = folder / DATASET_FILE
+    if path.is_file():
+        read_source(folder)
+        declare_dataset(target, json.loads(path.read_text(encoding="utf-8")))
+        return
+    if target.is_dir() and any(target.glob("*.npy")):
+        raise DataError(f"{target} already holds pushes; give an empty folder")
+    with writing(target):
+        target.mkdir(parents=True, exist_ok=True)
+
+
+def read_source(folder: Path) -> str:
+    """Where the pushes of a folder come from, as it declares; undeclared origin is called that.
+
+    Raises:
+        DataError: the declaration does not say.
+    """
+    path = folder / DATASET_FILE
+    if not path.is_file():
+        return UNKNOWN_SOURCE
+    try:
+        return str(json.loads(path.read_text(encoding="utf-8"))["source"])
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise DataError(
+            f"{path} does not say where the pushes come from (key 'source'); restore or remove it"
+        ) from error

@@ -1,0 +1,199 @@
+"""Pushes in MuJoCo, recorded as Omnipush records them, written in its own file format.
+
+The object lies anywhere on the plate at any yaw; the pusher moves in a straight line at constant speed for 50 mm and
+does not feel the object. What differs from push to push is where it starts and aims (``sample_pushers``) and what
+nobody records (``surfaces.Conditions``); a tracker with noise then sees both (``record``). Every object has random
+streams of its own, so that the files depend on the seed: not on the order, on the number of threads, or on
+interruptions. (Nor, but for last digits, on the processor: ``docs/data.md``, which lists assumptions beyond the paper.)
+"""
+
+import copy
+import hashlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+from mujoco import rollout
+from tqdm import tqdm
+
+from service.pushing.contexts import PUSH_LENGTH_M, ObjectContext
+from training.omnipush import pushes as data
+from training.simulation.scene import PUSHER_RADIUS_M, TIME_STEP_S, scene
+from training.simulation.solids import Solid, clearance_m, solid
+from training.simulation.surfaces import ABS, Array, Conditions, FrictionField, Surface, draw_conditions
+
+PUSH_DURATION_S: Final = 1.4
+START_RADIUS_M: Final = (0.0755, 0.085)  # of the pusher's start around the object's centre
+AIM_RADIUS_M: Final = 0.024  # the push is aimed at a point of this disc around the object's centre
+START_CLEARANCE_M: Final = 0.001
+SEGMENT_M: Final = 0.010  # of a push; from one to the next friction follows the feet over the plate
+# Yu et al. 2016, section IV: the tracker is accurate below 0.5 mm and 0.5 degrees, the robot to 0.1 mm; read as three
+# standard deviations.
+TRACKER_STD: Final = (0.00017, 0.00017, 0.0029)
+PUSHER_STD_M: Final = 0.00003
+_FREE, _SLIDES = 7, 2  # positions of the object's free joint, of the pusher's slides
+
+
+@dataclass(frozen=True)
+class SimulationPlan:
+    """What to simulate: objects on a surface, pushes of each, the seed of it all."""
+
+    descriptors: tuple[str, ...]
+    pushes_per_object: int = 250
+    seed: int = 0
+    surface: Surface = ABS
+
+    def declaration(self) -> dict[str, object]:
+        """What ``dataset.json`` says of the folder."""
+        name = self.surface.name
+        return {
+            "source": f"simulated pushes (MuJoCo {mujoco.__version__}, {name.upper()}, seed {self.seed})",
+            "simulated": True,
+            "simulator": f"MuJoCo {mujoco.__version__}",
+            "surface": name,
+            "friction_level": list(self.surface.level),
+            "friction_spread": self.surface.spread,
+            "friction_correlation_m": self.surface.correlation_m,
+            "friction_grain": self.surface.grain,
+            "tracker_std": list(TRACKER_STD),
+            "seed": self.seed,
+            "pushes_per_object": self.pushes_per_object,
+            "push_duration_s": PUSH_DURATION_S,
+            "start_radius_m": list(START_RADIUS_M),
+            "aim_radius_m": AIM_RADIUS_M,
+            "scene_sha256": hashlib.sha256(_reference_scene().encode()).hexdigest(),
+        }
+
+
+def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = None, quiet: bool = False) -> int:
+    """Simulate every object that the folder does not hold yet; the number of pushes that were simulated.
+
+    Raises:
+        DataError: the folder holds another dataset.
+    """
+    data.declare_dataset(folder, plan.declaration())
+    missing = [descriptor for descriptor in plan.descriptors if not data.has_object(folder, descriptor)]
+    threads = threads or os.cpu_count() or 1
+    # one plate for all objects, as in a laboratory
+    field = FrictionField(plan.surface, np.random.default_rng([plan.seed, *plan.surface.name.encode()]))
+    with rollout.Rollout(nthread=threads) as pool:
+        for descriptor in tqdm(missing, desc=f"pushing on {plan.surface.name}", unit="object", disable=quiet):
+            body = solid(ObjectContext.from_descriptor(descriptor))
+            # the names' bytes make a stream that no other object or surface shares
+            rng = np.random.default_rng([plan.seed, *f"{plan.surface.name} {descriptor}".encode()])
+            pushers = sample_pushers(body, plan.pushes_per_object, rng)
+            conditions = draw_conditions(plan.surface, field, len(pushers), rng)
+            outcomes = push_object(body, pushers, conditions, pool, threads)
+            data.write_object(folder, descriptor, *record(pushers, outcomes, rng))
+    return len(missing) * plan.pushes_per_object
+
+
+def sample_pushers(body: Solid, count: int, rng: np.random.Generator) -> Array:
+    """Random pusher poses around an object, none of them touching it; (count, 3), x_m, y_m, angle_rad."""
+    found = np.empty((0, 3))
+    while len(found) < count:
+        start = _polar(rng.uniform(*START_RADIUS_M, count), rng)
+        aim = _polar(AIM_RADIUS_M * np.sqrt(rng.uniform(0.0, 1.0, count)), rng)
+        towards = aim - start
+        poses = np.column_stack([start, np.arctan2(towards[:, 1], towards[:, 0])])
+        clearance = np.min([clearance_m(piece, start) for piece in body.pieces], axis=0)
+        found = np.concatenate([found, poses[clearance > PUSHER_RADIUS_M + START_CLEARANCE_M]])
+    return found[:count]
+
+
+def push_object(
+    body: Solid,
+    pushers: Array,
+    conditions: Conditions,
+    pool: rollout.Rollout,
+    threads: int,
+    time_step_s: float = TIME_STEP_S,
+    push_length_m: float = PUSH_LENGTH_M,
+) -> Array:
+    """The object's true pose after each push, in the object frame before it; (n, 3), x_m, y_m, yaw_rad.
+
+    Another length or time step than the dataset's serve to validate the simulator; the pusher's speed stays.
+    """
+    spec = scene(body)
+    spec.option.timestep = time_step_s
+    model = spec.compile()
+    models = [copy.copy(model) for _ in pushers]
+    rod = model.geom("pusher").id
+    for each, friction in zip(models, conditions.contact, strict=True):
+        each.geom_friction[rod, 0] = friction
+    state = _initial_states(model, pushers, conditions.world_poses)
+    feet = np.array(body.feet_m)
+    datas = [mujoco.MjData(model) for _ in range(max(1, threads))]
+    steps = round(PUSH_DURATION_S * push_length_m / PUSH_LENGTH_M / time_step_s)
+    for segment in np.array_split(np.arange(steps), round(push_length_m / SEGMENT_M)):
+        friction = conditions.table_friction(_placed(feet, _object_poses(state)))
+        for each, of_feet in zip(models, friction, strict=True):
+            each.pair_friction[:, :2] = of_feet
+        state = pool.rollout(models, datas, state, nstep=len(segment))[0][:, -1]
+    return relative(_object_poses(state), conditions.world_poses)
+
+
+def record(pushers: Array, outcomes: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """What a tracker with noise writes down of pushes and outcomes, (n, 3) each, in the frame that it measured.
+
+    The object's pose is measured before and after the push, so the recorded frame itself is a little off.
+    """
+    before, after = (rng.normal(0.0, TRACKER_STD, (len(pushers), 3)) for _ in range(2))
+    seen = pushers + rng.normal(0.0, 1.0, pushers.shape) * (PUSHER_STD_M, PUSHER_STD_M, 0.0)
+    return relative(seen, before), relative(outcomes + after, before)
+
+
+def relative(poses: Array, frames: Array) -> Array:
+    """Poses (n, 3) seen from frames (n, 3), both given in one outer frame; angles in (-pi, pi]."""
+    away = poses[:, :2] - frames[:, :2]
+    cos, sin = np.cos(frames[:, 2]), np.sin(frames[:, 2])
+    angle = poses[:, 2] - frames[:, 2]
+    x, y = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
+    return np.column_stack([x, y, np.arctan2(np.sin(angle), np.cos(angle))])
+
+
+def _placed(points: Array, poses: Array) -> Array:
+    """Points (k, 2) of an object at each of the poses (n, 3); (n, k, 2)."""
+    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    x, y = points.T
+    return np.asarray(poses[:, None, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1))
+
+
+def _initial_states(model: mujoco.MjModel, pushers: Array, world_poses: Array) -> Array:
+    """Full physics states: the object where it lies, the pusher at its start and at full speed."""
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    rest = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, mujoco.MjData(model), rest, kind)
+    state = np.tile(rest, (len(pushers), 1))
+    positions, velocities = 1, 1 + model.nq  # after the time
+    yaw, heading = world_poses[:, 2], world_poses[:, 2] + pushers[:, 2]
+    state[:, positions : positions + 2] = world_poses[:, :2]
+    state[:, positions + 3], state[:, positions + 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    starts = np.concatenate(
+        [_placed(start[None, :2], pose[None]) for start, pose in zip(pushers, world_poses, strict=True)]
+    )
+    state[:, positions + _FREE : positions + _FREE + _SLIDES] = starts[:, 0]
+    speed_m_s = PUSH_LENGTH_M / PUSH_DURATION_S
+    state[:, velocities + 6 : velocities + 8] = speed_m_s * np.column_stack([np.cos(heading), np.sin(heading)])
+    return state
+
+
+def _object_poses(state: Array) -> Array:
+    """The object's planar poses in the world, (n, 3), of full physics states."""
+    x, y, _, w, _, _, z = state[:, 1 : 1 + _FREE].T
+    return np.column_stack([x, y, 2.0 * np.arctan2(z, w)])
+
+
+def _polar(radius: Array, rng: np.random.Generator) -> Array:
+    angle = rng.uniform(-np.pi, np.pi, len(radius))
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def _reference_scene() -> str:
+    """Geometry, masses, friction and solver settings as text, for an object with every shape and weight."""
+    spec = scene(solid(ObjectContext.from_descriptor("1b2C3c4a")))
+    spec.compile()
+    return str(spec.to_xml())
