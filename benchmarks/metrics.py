@@ -15,7 +15,8 @@ from typing import Any
 
 from benchmarks.asking import OURS, PUSH, Figures, Load, ask, free_port, server
 from service.cli.main import main as cazsl
-from service.observability.metrics import RequestMetrics, exposition, render
+from service.observability.metrics import RequestMetrics
+from service.observability.prometheus import exposition, render
 
 ROUNDS, SECONDS, CONNECTIONS = 20, 2, 16
 LINES = 10_000

@@ -16,14 +16,15 @@ from typing import Any, Final
 
 import torch
 
-from service.inference.loaded_models import load_version
 from service.model.predictor import OnnxPredictor
-from service.pushing.gates import judge
+from service.registry.loading import load_version
+from service.registry.promotion import judge
 from service.registry.registry import Registry
 from training.fitting.evaluation import evaluate
 from training.fitting.recipe import Recipe, read_recipe
+from training.fitting.run_folder import Network
 from training.fitting.samples import TrainingData, read_pushes
-from training.fitting.training_loop import Network, fit
+from training.fitting.training_loop import fit
 from training.publishing.publish import publish
 
 STEPS: Final[dict[str, dict[str, Any]]] = {

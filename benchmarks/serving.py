@@ -27,7 +27,8 @@ from PIL import Image
 
 from benchmarks.asking import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server, wrk
 from service.model.predictor import OnnxPredictor
-from service.pushing.contexts import ContextKind, ObjectContext
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
 
 ROWS = 1000
 CONNECTIONS = 16

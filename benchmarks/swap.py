@@ -35,9 +35,9 @@ from pathlib import Path
 from tqdm import tqdm
 
 from benchmarks.asking import OURS, PUSH, ROOT, Load, Server, ask, free_port, server
-from service.cli.main import SWITCH_INTERVAL_S
-from service.inference.loaded_models import load_version
+from service.cli.serve import SWITCH_INTERVAL_S
 from service.model.predictor import OnnxPredictor
+from service.registry.loading import load_version
 from service.registry.registry import Registry
 
 NAME = "push-indicator"

@@ -28,11 +28,12 @@ from typing import Any, Final, Protocol
 import torch
 
 from benchmarks.literal_loop import PUBLISHED_WORKERS, LiteralEpochs
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from training.fitting.evaluation import Evaluation, evaluate
 from training.fitting.recipe import Recipe
+from training.fitting.run_folder import Network, build_network
 from training.fitting.samples import Samples, TrainingData
-from training.fitting.training_loop import Network, build_network, keep_freed_memory, product_dtype, train_epoch
+from training.fitting.training_loop import keep_freed_memory, product_dtype, train_epoch
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES
 from training.omnipush.published import different_objects

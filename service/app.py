@@ -12,25 +12,28 @@ from fastapi import Depends, FastAPI
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
-from service.api import monitoring
+from service.api import health, monitoring
 from service.api.dependencies import may_predict
 from service.api.docs_page import documentation
+from service.api.error_handlers import install_problem_handlers
 from service.api.gauges import vitals
 from service.api.open_inference import routes as open_inference
 from service.api.open_inference.bodies import ErrorBody
-from service.api.openapi import give_examples, problems, protocol_errors
+from service.api.openapi import give_examples, problems, protocol_errors, state_media_type
 from service.api.v1 import routes
 from service.errors import CazslError, ForbiddenError, MissingKeyError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
-from service.observability.metrics import RequestMetrics, exposition
-from service.observability.telemetry import RequestLog, RequestTelemetry
-from service.schemas.predictions import ProblemBody
+from service.observability.logs import RequestLog
+from service.observability.metrics import RequestMetrics
+from service.observability.prometheus import exposition
+from service.observability.telemetry import RequestTelemetry
+from service.schemas.problems import ProblemBody
 from service.settings import Settings
 from service.transport.admission import Intake, IntakeLimits
 from service.transport.fast_path import FastPath
 from service.transport.keys import Keys
-from service.transport.problems import install_problem_handlers, problem_response, state_media_type
+from service.transport.problems import problem_response
 from service.transport.short_way import ShortWay
 from service.transport.threads import Workers, threads_beside_the_loop
 
@@ -142,7 +145,7 @@ def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:
     guard = [Depends(may_predict)] if guarded else []
     refusals = (MissingKeyError, ForbiddenError) if guarded else ()
     app.include_router(documentation(app.title))
-    app.include_router(routes.health)
+    app.include_router(health.router)
     app.include_router(routes.router, dependencies=guard, responses=problems(ProblemBody, *refusals))
     app.include_router(routes.uploads, dependencies=guard, responses=problems(ProblemBody, *refusals))
     app.include_router(open_inference.health)

@@ -38,6 +38,7 @@ Standard library only.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
+from typing import Self
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,11 @@ class InvalidRequestError(RequestError):
     def __init__(self, faults: Sequence[FieldFault]) -> None:
         self.faults = tuple(faults)
         super().__init__("; ".join(str(fault) for fault in self.faults))
+
+    @classmethod
+    def at(cls, where: str, received: str, accepted: str) -> Self:
+        """Create the error of one fault: the field, what was received, what is accepted."""
+        return cls([FieldFault(where, received, accepted)])
 
     def __reduce__(self) -> tuple[type["InvalidRequestError"], tuple[tuple[FieldFault, ...]]]:
         """Travel between processes with the faults: an exception would by itself travel with its text."""

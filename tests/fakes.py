@@ -8,17 +8,10 @@ import numpy as np
 
 from service.errors import BrokenModelError, PredictionError
 from service.inference.loaded_models import LoadedModels
-from service.model.manifest import (
-    OUTPUTS,
-    Calibration,
-    DataRecord,
-    Manifest,
-    Metrics,
-    NormalisationRecord,
-    SelfCheck,
-    expected_inputs,
-)
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind, FloatArray, IndexArray
+from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 
 STD = (0.001, 0.002, 0.03)

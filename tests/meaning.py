@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from service.api.v1.queries import MAX_IMAGES
+from service.api.v1.object_contexts import MAX_IMAGES
 from service.pushing.contexts import BITS_PER_SIDE, SHAPE_DIGITS, SIDES, TRIANGULAR
-from service.schemas.pushes import REACH_M
-from service.schemas.rows import WORLD_M
+from service.pushing.poses import REACH_M, WORLD_M
 
 Json = dict[str, Any]
 KINDS = {"descriptor": "indicator", "indicator": "indicator", "visual": "visual", "image": "visual"}

@@ -30,8 +30,9 @@ from service.app import create_app
 from service.inference.loaded_models import LoadedModels
 from service.model.manifest import SelfCheck
 from service.model.predictor import OnnxPredictor
-from service.observability.telemetry import RequestLog
-from service.pushing.contexts import VISUAL_SIZE, ContextKind
+from service.model.tensors import ContextKind
+from service.observability.logs import RequestLog
+from service.pushing.contexts import VISUAL_SIZE
 from service.registry.registry import Registry
 from service.settings import Settings
 from service.transport.connection import bounded_connection

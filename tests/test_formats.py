@@ -9,9 +9,11 @@ from pathlib import Path
 import pytest
 
 from service.errors import BrokenModelError
-from service.inference.loaded_models import LoadedModels, load_version
-from service.model.manifest import FORMAT, FORMATS, Manifest, ModelReference
+from service.inference.loaded_models import LoadedModels
+from service.model.manifest import FORMAT, FORMATS, Manifest
 from service.model.predictor import OnnxPredictor
+from service.model.reference import ModelReference
+from service.registry.loading import load_version
 from service.registry.registry import Registry
 from tests.fakes import draft_manifest
 

@@ -8,10 +8,13 @@ from typing import Any
 import pytest
 
 import service
-from service.inference.loaded_models import DEFAULT_MODELS, load_version
-from service.model.manifest import Manifest, ModelReference
+from service.inference.snapshot import DEFAULT_MODELS
+from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
-from service.pushing.contexts import ObjectContext, Pose
+from service.model.reference import ModelReference
+from service.pushing.contexts import ObjectContext
+from service.pushing.poses import Pose
+from service.registry.loading import load_version
 from service.registry.registry import Registry
 
 

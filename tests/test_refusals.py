@@ -21,7 +21,8 @@ from PIL import Image
 
 from service.api.open_inference.queries import LIGHT_BYTES
 from service.api.v1.queries import LIGHT_PUSHES
-from service.inference.loaded_models import LoadedModels, PredictorFactory
+from service.inference.loaded_models import LoadedModels
+from service.model.loaded_model import PredictorFactory
 from service.model.predictor import OnnxPredictor
 from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry

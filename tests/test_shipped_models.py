@@ -7,10 +7,12 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from service.inference.loaded_models import LoadedModel, load_version
-from service.model.manifest import ModelReference
+from service.model.loaded_model import LoadedModel
 from service.model.predictor import OnnxPredictor
-from service.pushing.contexts import ContextKind, ObjectContext
+from service.model.reference import ModelReference
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
+from service.registry.loading import load_version
 from service.registry.registry import Registry
 
 Array = npt.NDArray[np.float64]

@@ -5,10 +5,10 @@ from typing import Annotated
 from fastapi import Request, Response, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 
-from service.api.v1.queries import Answer
 from service.errors import NotAcceptableError
-from service.inference.loaded_models import Snapshot
+from service.inference.query import Answer
 from service.inference.readiness import Readiness
+from service.inference.snapshot import Snapshot
 from service.transport.keys import Keys, Scope, authorization_of
 from service.transport.threads import Workers
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import service
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
-from service.observability.metrics import Reading, Readings
+from service.observability.prometheus import Reading, Readings
 from service.transport.admission import Intake
 from service.transport.threads import Workers
 

@@ -4,7 +4,7 @@ from fastapi import APIRouter, Depends, Request, Response
 from prometheus_client import CollectorRegistry
 
 from service.api.dependencies import may_read_metrics
-from service.observability.metrics import CONTENT_TYPE, render
+from service.observability.prometheus import CONTENT_TYPE, render
 
 router = APIRouter(dependencies=[Depends(may_read_metrics)], include_in_schema=False)
 

@@ -13,7 +13,6 @@ from service.errors import (
     CazslError,
     ContextKindError,
     DeadlineError,
-    FieldFault,
     ForbiddenError,
     ImageTooLargeError,
     InvalidImageError,
@@ -47,11 +46,9 @@ ERRORS: Final = (
     ImageTooLargeError("image", "30000 x 20000 pixels", "up to 12582912 pixels and 8192 on a side"),
     UnsupportedMediaTypeError("header Content-Encoding: received a compressed body; accepted is a plain one"),
     UnsupportedImageError("image: received 35 bytes of another format; accepted is PNG, JPEG or WebP"),
-    InvalidRequestError(
-        [FieldFault("body.context.indicator side 3", "2 shapes (1, 4)", "exactly one shape of 1, 2, 3, 4")]
-    ),
-    ContextKindError([FieldFault("body.context", "kind visual", "a context of kind indicator for push-indicator")]),
-    InvalidImageError([FieldFault("image", "a file that stops before the picture does", "a whole PNG, JPEG or WebP")]),
+    InvalidRequestError.at("body.context.indicator side 3", "2 shapes (1, 4)", "exactly one shape of 1, 2, 3, 4"),
+    ContextKindError.at("body.context", "kind visual", "a context of kind indicator for push-indicator"),
+    InvalidImageError.at("image", "a file that stops before the picture does", "a whole PNG, JPEG or WebP"),
     TooManyRequestsError(8),
     PredictionError("the runtime could not evaluate the model"),
     ModelNotReadyError("no model is loaded: none is published"),
@@ -59,7 +56,7 @@ ERRORS: Final = (
     DeadlineError(10.0),
 )
 _PROTOCOL_ERRORS: Final = (  # what is said in other words there
-    InvalidRequestError([FieldFault("inputs pusher.shape", "another shape", "[n (1 to 10000), 3]")]),
+    InvalidRequestError.at("inputs pusher.shape", "another shape", "[n (1 to 10000), 3]"),
     UnsupportedMediaTypeError("header Content-Encoding: received another one; accepted is gzip or deflate"),
 )
 _KNOWN: Final = {
@@ -146,3 +143,14 @@ def _written(prefix: str, error: CazslError) -> tuple[int, Any]:
 
 def _name(prefix: str, error: CazslError) -> str:
     return f"{prefix[1:]}_{error.code}"
+
+
+def state_media_type(document: dict[str, Any]) -> dict[str, Any]:
+    """Say in an OpenAPI document that problems come as problem+json; FastAPI writes its own type for every model."""
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            for response in operation["responses"].values():
+                content = response.get("content", {})
+                if content.get("application/json", {}).get("schema") == {"$ref": "#/components/schemas/ProblemBody"}:
+                    response["content"] = {MEDIA_TYPE: content.get(MEDIA_TYPE, {}) | content["application/json"]}
+    return document

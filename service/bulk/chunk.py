@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import FieldFault, InvalidRequestError
-from service.inference.loaded_models import LoadedModel
+from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
 from service.model.self_check import check_itself
-from service.pushing.contexts import ContextKind, FloatArray, IndexArray, ObjectContext, VisualContext
-from service.pushing.poses import DoubleArray, wrap_angles
-from service.schemas.pushes import REACH_M, unreachable
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.poses import REACH_M, DoubleArray, unreachable, wrap_angles
 
 POSE_COLUMNS: Final = ("x_m", "y_m", "angle_rad")
 CONTEXT_COLUMNS: Final = {ContextKind.INDICATOR: "descriptor", ContextKind.VISUAL: "visual"}
@@ -109,7 +109,7 @@ def _object(given: str | bytes | None, where: str) -> ObjectContext | VisualCont
         case bytes():
             return VisualContext.from_bytes(given, where)
         case None:
-            raise InvalidRequestError([FieldFault(where, "nothing", "an object in every row")])
+            raise InvalidRequestError.at(where, "nothing", "an object in every row")
 
 
 def _where(chunk: Chunk, row: int, column: str) -> str:

@@ -12,7 +12,8 @@ import pyarrow.parquet as pq
 from service.bulk.chunk import CHUNK_ROWS, CONTEXT_COLUMNS, POSE_COLUMNS, PREDICTED_COLUMNS, Chunk
 from service.errors import DataError
 from service.model.manifest import Manifest
-from service.pushing.contexts import VISUAL_SIZE, ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.contexts import VISUAL_SIZE
 
 GROUP_CHUNKS: Final = 8
 _CONTEXT_TYPES: Final = {ContextKind.INDICATOR: "text", ContextKind.VISUAL: f"{VISUAL_SIZE**2} bytes"}

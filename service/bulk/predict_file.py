@@ -10,7 +10,7 @@ from service.bulk.chunk import ModelParts, predict_chunk
 from service.bulk.executors import Workforce
 from service.bulk.new_file import new_file
 from service.bulk.parquet_file import PredictionFile, PushFile, chunk_of
-from service.pushing.contexts import FloatArray
+from service.model.tensors import FloatArray
 
 Piece = tuple[int, pa.RecordBatch]  # the number of its first row, and the columns that the model wants
 

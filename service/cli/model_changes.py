@@ -1,18 +1,20 @@
-"""``cazsl models``: the commands that change a registry; importing this adds them to the group."""
+"""``cazsl models``: the commands that change a registry."""
 
 import sys
 from pathlib import Path
+from typing import Final
 
 import click
 
-from service.cli.models import models
 from service.cli.terminal import REFUSED, json_option, mend, registry_option, say
 from service.errors import CazslError, RegistryError, UnknownModelError
-from service.inference.loaded_models import LoadedModel, load_version
-from service.model.manifest import DEFAULT_ALIAS, ModelReference
+from service.model.loaded_model import LoadedModel
 from service.model.predictor import OnnxPredictor
-from service.pushing.gates import Verdict, judge
+from service.model.reference import DEFAULT_ALIAS, ModelReference
+from service.pushing.gates import Verdict
+from service.registry.loading import load_version
 from service.registry.location import open_registry
+from service.registry.promotion import judge
 from service.registry.registry import NOWHERE, Registry
 from service.storage.history import Event, History
 
@@ -20,7 +22,7 @@ alias_option = click.option("--alias", default=DEFAULT_ALIAS, show_default=True,
 reason_option = click.option("--reason", help="Why; kept in the history.")
 
 
-@models.command("promote")
+@click.command("promote")
 @click.argument("name")
 @click.argument("version", type=click.IntRange(min=1))
 @alias_option
@@ -94,7 +96,7 @@ def _done(name: str, event: Event) -> None:
     )
 
 
-@models.command("rollback")
+@click.command("rollback")
 @click.argument("name")
 @alias_option
 @reason_option
@@ -124,7 +126,7 @@ def _before(history: History, alias: str, current: int | None, versions: frozens
     return next((version for version in reversed(named) if version != current and version in versions), None)
 
 
-@models.command("remove")
+@click.command("remove")
 @click.argument("reference", metavar="NAME@VERSION|NAME@ALIAS")
 @reason_option
 @json_option
@@ -145,7 +147,7 @@ def remove(reference: str, reason: str | None, as_json: bool, registry: str) -> 
         click.echo(f"{parsed} is removed" + ("; its number is not given again" if parsed.version else ""))
 
 
-@models.command("prune")
+@click.command("prune")
 @click.argument("name")
 @click.option("--keep", type=click.IntRange(min=1), required=True, help="How many of the newest versions stay.")
 @click.option("--dry-run", is_flag=True, help="Only say what would go.")
@@ -167,7 +169,7 @@ def prune(name: str, keep: int, dry_run: bool, reason: str | None, as_json: bool
         click.echo(f"{'would remove' if dry_run else 'removed'}: {', '.join(map(str, old)) or 'nothing'}")
 
 
-@models.command("sign")
+@click.command("sign")
 @click.argument("reference")
 @click.option(
     "--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=True, help="Private key, PEM."
@@ -196,7 +198,7 @@ def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
         click.echo(f"{parsed.name}@{version} is signed")
 
 
-@models.command("push")
+@click.command("push")
 @click.argument("reference")
 @click.argument("destination")
 @json_option
@@ -207,7 +209,7 @@ def push(reference: str, destination: str, as_json: bool, registry: str) -> None
     _copy(open_registry(registry), open_registry(destination), reference, as_json)
 
 
-@models.command("pull")
+@click.command("pull")
 @click.argument("reference")
 @click.argument("source")
 @json_option
@@ -226,3 +228,6 @@ def _copy(source: Registry, destination: Registry, reference: str, as_json: bool
         say({"name": parsed.name, "version": version})
     else:
         click.echo(f"{parsed.name}@{version} is there, byte for byte; no alias moved")
+
+
+CHANGES: Final = (promote, rollback, remove, prune, sign, push, pull)

@@ -11,10 +11,12 @@ import click
 
 from service.cli.terminal import FAILED, json_option, mend, registry_option, say
 from service.errors import CazslError, UnknownModelError
-from service.inference.loaded_models import LoadedModel, load_version
-from service.model.manifest import DEFAULT_ALIAS, Manifest, ModelReference
+from service.model.loaded_model import LoadedModel
+from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
+from service.model.reference import DEFAULT_ALIAS, ModelReference
 from service.registry.doctor import examine
+from service.registry.loading import load_version
 from service.registry.location import open_registry
 from service.registry.registry import Registry
 from service.storage.base import Finding

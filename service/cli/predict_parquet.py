@@ -9,8 +9,8 @@ import click
 from service.bulk.chunk import ModelParts
 from service.bulk.executors import LocalThreads, RayCluster
 from service.errors import DataError
-from service.inference.loaded_models import DEFAULT_MODELS
-from service.model.manifest import ModelReference
+from service.inference.snapshot import DEFAULT_MODELS
+from service.model.reference import ModelReference
 from service.registry.registry import Registry
 from service.transport.threads import processors
 

@@ -12,13 +12,9 @@ from service.client import calls
 from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, Caller, add_part
 from service.client.calls import Call, Context, Image, Predictions
 from service.client.retries import Retries, retry_after_s
-from service.schemas.predictions import (
-    ModelBody,
-    ModelsBody,
-    ModelVersionDetailBody,
-    PredictResponse,
-    VisualContextBody,
-)
+from service.schemas.contexts import VisualContextBody
+from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
+from service.schemas.predictions import PredictResponse
 
 T = TypeVar("T")
 

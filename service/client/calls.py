@@ -17,18 +17,11 @@ from pydantic import ValidationError
 
 from service.client.errors import ProblemError, UnreadableAnswerError
 from service.errors import FieldFault
-from service.schemas.contexts import ContextBody
-from service.schemas.predictions import (
-    BatchResponse,
-    Body,
-    ModelBody,
-    ModelsBody,
-    ModelVersionBody,
-    ModelVersionDetailBody,
-    PredictResponse,
-    ProblemBody,
-    VisualContextBody,
-)
+from service.schemas.body import Body
+from service.schemas.contexts import ContextBody, VisualContextBody
+from service.schemas.models import ModelBody, ModelsBody, ModelVersionBody, ModelVersionDetailBody
+from service.schemas.predictions import BatchResponse, PredictResponse
+from service.schemas.problems import ProblemBody
 
 T = TypeVar("T")
 B = TypeVar("B", bound=Body)

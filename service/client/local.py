@@ -19,7 +19,8 @@ from service.api.v1.catalogue import model_body, models_body, version_body
 from service.api.v1.queries import describe_upload, predict_batch, predict_one, predict_upload
 from service.api.v1.uploads import Upload, read_upload
 from service.errors import CazslError, MalformedBodyError, ModelNotReadyError
-from service.inference.loaded_models import LoadedModels, Snapshot
+from service.inference.loaded_models import LoadedModels
+from service.inference.snapshot import Snapshot
 from service.model.predictor import OnnxPredictor
 from service.registry.location import open_registry, trusted_keys
 from service.schemas.pushes import BatchRequest, PredictRequest

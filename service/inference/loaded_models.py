@@ -10,157 +10,31 @@ whole folder that is no longer mounted, goes on being served.
 
 import contextlib
 import logging
-import math
 import threading
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Final
-
-import numpy as np
 
 from service.errors import (
     CazslError,
-    ContextKindError,
-    FieldFault,
-    ModelNotReadyError,
-    UnknownModelError,
 )
 from service.inference.counters import Tally
-from service.model.manifest import DEFAULT_ALIAS, Manifest, ModelReference
-from service.model.predictor import Predictor
-from service.model.self_check import check_itself
-from service.observability.timings import took
-from service.pushing.contexts import (
-    ContextKind,
-    FloatArray,
-    GaussianPose,
-    IndexArray,
-    ObjectContext,
-    Pose,
-    VisualContext,
-)
-from service.pushing.poses import wrap_angles
+from service.inference.snapshot import Snapshot
+from service.model.loaded_model import LoadedModel, PredictorFactory
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext, VisualContext
+from service.registry.loading import load_version
 from service.registry.registry import Registry
 from service.storage.history import ModelState
 
-PredictorFactory = Callable[[bytes, ContextKind], Predictor]
-DEFAULT_MODELS: Final[Mapping[ContextKind, str]] = {kind: f"push-{kind}" for kind in ContextKind}
 # Files that hands or other tools moved need not show in a fingerprint: every so many looks, one looks at everything.
 THOROUGH_EVERY: Final = 30
-_DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, name in DEFAULT_MODELS.items()}
-FIRST_OBJECT: Final = np.zeros(1, dtype=np.int64)
-_LARGEST_ANGLE: Final = np.nextafter(np.float32(math.pi), np.float32(0.0))  # float32's pi is beyond pi
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class LoadedModel:
-    """One version that passed every check."""
-
-    manifest: Manifest
-    card: str
-    predictor: Predictor
-
-    def predict(
-        self, pushers: FloatArray, kind: ContextKind, contexts: FloatArray | None, places: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Mean and std (n, 3), in the object frame, of pushes (n, 3) of the objects ``contexts[places]``.
-
-        The angles of the means are wrapped.
-
-        Raises:
-            ContextKindError: the contexts are not of the kind that the model wants.
-            PredictionError: the runtime failed.
-        """
-        if kind is not self.manifest.context_kind:
-            accepted = f"a context of kind {self.manifest.context_kind} for {self.manifest.name}"
-            raise ContextKindError([FieldFault("body.context", f"kind {kind}", accepted)])
-        began = time.perf_counter()
-        mean, std = self.predictor.predict(pushers, contexts, places)
-        took("inference", time.perf_counter() - began)
-        angles = mean[:, 2]
-        inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)
-        if not inside:
-            mean = mean.copy()
-            mean[:, 2] = np.clip(wrap_angles(angles.astype(np.float64)), -_LARGEST_ANGLE, _LARGEST_ANGLE)
-        return mean, std
-
-    def predict_push(self, pusher: Pose, context: ObjectContext | VisualContext | None) -> GaussianPose:
-        """Where the object ends up after one push, in the object frame.
-
-        Raises:
-            ContextKindError, PredictionError: as ``predict``.
-        """
-        poses = np.array([[pusher.x_m, pusher.y_m, pusher.angle_rad]], dtype=np.float32)
-        tensor, places = (None, None) if context is None else (context.tensor()[None], FIRST_OBJECT)
-        mean, std = self.predict(poses, context_kind_of(context), tensor, places)
-        return GaussianPose(Pose(*mean[0].tolist()), Pose(*std[0].tolist()))
-
-
-def _all_inside(angles: FloatArray) -> bool:
-    return bool(angles.max() <= _LARGEST_ANGLE and angles.min() >= -_LARGEST_ANGLE)
 
 
 def context_kind_of(context: ObjectContext | VisualContext | None) -> ContextKind:
     """The kind of context that was given."""
     return ContextKind.NONE if context is None else context.kind
-
-
-@dataclass(frozen=True)
-class Snapshot:
-    """What is served at one instant."""
-
-    models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
-    aliases: Mapping[tuple[str, str], int] = field(default_factory=dict)
-    problems: tuple[str, ...] = ("the registry was not read yet",)
-
-    def find(self, reference: ModelReference) -> LoadedModel:
-        """The model that a reference means in this snapshot.
-
-        Raises:
-            UnknownModelError: it is not served.
-            ModelNotReadyError: nothing at all is served yet.
-        """
-        version = reference.version
-        if reference.alias is not None:
-            version = self.aliases.get((reference.name, reference.alias))
-        model = None if version is None else self.models.get((reference.name, version))
-        if model is not None:
-            return model
-        if not self.models:
-            raise ModelNotReadyError(
-                f"no model is loaded: {self.problems[0] if self.problems else 'none is published'}"
-            )
-        served = ", ".join(f"{name}@{number}" for name, number in sorted(self.models)[:10])
-        raise UnknownModelError(f"model: received a reference that is not served; accepted is one of: {served}")
-
-    def find_default(self, kind: ContextKind) -> LoadedModel:
-        """The champion of the default model for this kind of context.
-
-        Raises:
-            UnknownModelError, ModelNotReadyError: as ``find``.
-        """
-        return self.find(_DEFAULTS[kind])
-
-    def versions(self, name: str) -> list[int]:
-        """The served versions of a model, oldest first.
-
-        Raises:
-            UnknownModelError: none is served.
-        """
-        numbers = sorted(number for model, number in self.models if model == name)
-        if not numbers:
-            raise UnknownModelError(f"name: received a model that is not served; accepted is one of: {self._names()}")
-        return numbers
-
-    def aliases_of(self, name: str) -> dict[str, int]:
-        """The aliases of a model and what they mean here."""
-        return {alias: version for (model, alias), version in self.aliases.items() if model == name}
-
-    def _names(self) -> str:
-        return ", ".join(sorted({name for name, _ in self.models})) or "none"
 
 
 class LoadedModels:
@@ -275,15 +149,3 @@ class LoadedModels:
         if new.problems != old.problems:
             for problem in new.problems:
                 logger.warning("registry problem", extra={"problem": problem})
-
-
-def load_version(registry: Registry, load: PredictorFactory, name: str, version: int) -> LoadedModel:
-    """A version, verified in the written order: format, sizes, digests, tensors, self-check.
-
-    Raises:
-        BrokenModelError: it fails one of them.
-    """
-    verified = registry.read(name, version)
-    predictor = load(verified.model, verified.manifest.context_kind)
-    check_itself(verified.manifest, predictor)
-    return LoadedModel(verified.manifest, verified.card, predictor)

@@ -15,9 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from service.api.v1.queries import Answer, Question
+from service.api.v1.queries import Question
+from service.inference.query import Answer
+from service.model.tensors import FloatArray
 from service.observability.timings import took
-from service.pushing.contexts import FloatArray
 
 MOST_PUSHES: Final = 64  # of one call, which holds the loop for as long: a tenth of a millisecond
 Gaussian = tuple[FloatArray, FloatArray, float]  # mean and std (1, 3), and the seconds that the call took

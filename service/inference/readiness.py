@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Final
 
 from service.errors import CazslError
-from service.inference.loaded_models import LoadedModel, LoadedModels
+from service.inference.loaded_models import LoadedModels
+from service.model.loaded_model import LoadedModel
 from service.model.self_check import check_itself
 
 Key = tuple[str, int]

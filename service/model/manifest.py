@@ -18,9 +18,10 @@ from functools import cache
 from types import NoneType, UnionType
 from typing import Any, Final, Self, get_args, get_origin, get_type_hints
 
-from service.errors import BrokenModelError, FieldFault, InvalidRequestError
+from service.errors import BrokenModelError
 from service.model.canonical_json import canonical
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
+from service.model.reference import is_name
+from service.model.tensors import ContextKind, Tensor
 
 FORMAT: Final = 2  # what is written
 FORMATS: Final = (1, 2)  # what is read
@@ -31,52 +32,8 @@ _VERSION_LINE: Final = (
 MANIFEST_FILE: Final = "manifest.json"
 MODEL_FILE: Final = "model.onnx"
 CARD_FILE: Final = "card.md"
-DEFAULT_ALIAS: Final = "champion"
-_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
-_VERSION = re.compile(r"[1-9][0-9]{0,8}")
 _LARGEST: Final = 2**63
 _SHA256 = re.compile(r"[0-9a-f]{64}")
-REFERENCE_SYNTAX: Final = "name, name@alias or name@version, of lower-case letters, digits, '-' and '_'"
-
-
-def is_name(text: str) -> bool:
-    """Whether this may name a model or an alias; a number is no alias."""
-    return _NAME.fullmatch(text) is not None
-
-
-def is_alias(text: str) -> bool:
-    """Whether this may name an alias: a name that cannot be taken for a version."""
-    return is_name(text) and not text.isdigit()
-
-
-def parse_version(text: str) -> int | None:
-    """A positive integer without leading zeros, or None."""
-    return int(text) if _VERSION.fullmatch(text) else None
-
-
-@dataclass(frozen=True, slots=True)
-class ModelReference:
-    """How a caller names a model: ``name``, ``name@alias`` or ``name@version``; ``name`` alone means its champion."""
-
-    name: str
-    alias: str | None
-    version: int | None
-
-    @classmethod
-    def parse(cls, text: str, where: str = "model") -> Self:
-        """Read a reference.
-
-        Raises:
-            InvalidRequestError: it is not one; the text is not repeated.
-        """
-        name, at, rest = text.partition("@")
-        version = parse_version(rest)
-        if is_name(name) and (not at or version is not None or is_alias(rest)):
-            return cls(name, None if version is not None else (rest or DEFAULT_ALIAS), version)
-        raise InvalidRequestError([FieldFault(where, f"a text of {len(text)} characters", REFERENCE_SYNTAX)])
-
-    def __str__(self) -> str:
-        return f"{self.name}@{self.alias if self.version is None else self.version}"
 
 
 @dataclass(frozen=True)
@@ -90,16 +47,6 @@ class FileDigest:
     def of(cls, content: bytes) -> Self:
         """The digest of these bytes."""
         return cls(size=len(content), sha256=hashlib.sha256(content).hexdigest())
-
-
-@dataclass(frozen=True)
-class Tensor:
-    """One input or output of the graph; a text in the shape is a free dimension."""
-
-    name: str
-    dtype: str
-    shape: tuple[int | str, ...]
-    units: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -212,15 +159,13 @@ class Manifest:
             return False
 
     def _check(self) -> None:
-        """Hold what types cannot say."""
+        """Check the form beyond types; ``registry.verification`` checks the tensors."""
         digests = self.files.values()
         faults = (
             (not is_name(self.name), "name: not a model name"),
             (self.version < 1, "version: expected 1 or more"),
             (set(self.files) != {MODEL_FILE, CARD_FILE}, f"files: expected exactly {MODEL_FILE} and {CARD_FILE}"),
             (any(not _SHA256.fullmatch(d.sha256) or d.size < 0 for d in digests), "files: not a size and a sha256"),
-            (self.inputs != expected_inputs(self.context_kind), "inputs: not the tensors of this context kind"),
-            (self.outputs != OUTPUTS, "outputs: not the tensors of the contract"),
             (not 0.0 < self.self_check.tolerance < math.inf, "self_check.tolerance: expected more than 0"),
         )
         for wrong, message in faults:
@@ -235,21 +180,6 @@ class Manifest:
         digest = hashlib.sha256(text).hexdigest()
         before, version, after = text.partition(_VERSION_LINE)
         return b"".join((before, f'\n  "{_DIGEST_KEY}": "{digest}",'.encode(), version, after))
-
-
-_POSE_UNITS: Final = ("m", "m", "rad")
-_PUSHER: Final = Tensor("pusher", "float32", ("n", 3), _POSE_UNITS)
-_INDICATOR: Final = Tensor("context", "float32", ("g", INDICATOR_LENGTH), ("1",))
-_VISUAL: Final = Tensor("context", "float32", ("g", 1, VISUAL_SIZE, VISUAL_SIZE), ("1",))
-_CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
-OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
-
-
-def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
-    """The inputs that a graph of this context kind must have, in order."""
-    if kind is ContextKind.NONE:
-        return (_PUSHER,)
-    return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)
 
 
 def _refuse_constant(name: str) -> float:

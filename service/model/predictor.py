@@ -1,55 +1,67 @@
-"""The seam around the engine: arrays in, arrays out. The only module that imports onnxruntime."""
+"""The seam around onnxruntime: arrays in, arrays out. The only module that imports onnxruntime."""
 
 import math
 import os
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 import numpy as np
 
-# Official builds tell their maker what they run unless this is set when they are imported; a robot's cell tells nobody.
+# Official builds of onnxruntime send telemetry unless this is set before the import.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 from service.errors import BrokenModelError, PredictionError
-from service.model.manifest import OUTPUTS, Tensor, expected_inputs
 from service.model.onnx_graph import inspect_graph
-from service.pushing.contexts import ContextKind, FloatArray, IndexArray
+from service.model.tensors import FloatArray, IndexArray, Tensor
 
-# The runtime computes sines and the like of four numbers at once, and those left over at the end of a tensor by other
-# instructions, which round otherwise: with nothing left over, a push gets the same bits whatever stands beside it.
-PUSHES_AT_ONCE: Final = 4
-_PADDING: Final = np.zeros((PUSHES_AT_ONCE, 3), dtype=np.float32)
-_FIRST: Final = np.zeros(PUSHES_AT_ONCE, dtype=np.int64)
+# onnxruntime computes sines of four numbers at once and the remainder of a tensor with other instructions, which round
+# differently. With no remainder, a row gets the same bits whatever stands beside it.
+ROWS_AT_ONCE: Final = 4
+_FIRST_CONTEXT: Final = np.zeros(ROWS_AT_ONCE, dtype=np.int64)
+_TYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 
 
 class Predictor(Protocol):
-    """A loaded model. SI units in and out, see the contract's ONNX interface.
+    """A loaded model. Units are those that the manifest declares.
 
-    What it gives for a push depends on that push and its object alone, to the bit.
+    The prediction of a row depends on that row and its context alone, to the bit.
     """
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+        self, rows: FloatArray, context: FloatArray | None, context_index: IndexArray | None
     ) -> tuple[FloatArray, FloatArray]:
-        """Mean and std, both (n, 3), of pushes (n, 3) of the objects ``context[context_index]``.
+        """Return mean and std, both (n, outputs), of rows (n, inputs) with the contexts ``context[context_index]``.
 
-        ``context`` is (g, 36) and ``context_index`` (n,); both are None for models without context.
+        Args:
+            rows: (n, inputs) float32; for push models the pusher poses in m, m, rad.
+            context: (g, ...) float32, the distinct contexts; None for models without context.
+            context_index: (n,) int64, the context of each row; None for models without context.
 
         Raises:
-            PredictionError: the runtime failed, or gave what is no Gaussian.
+            PredictionError: the runtime failed, or its answer is not a Gaussian.
         """
         ...
 
 
-class OnnxPredictor:
-    """A graph in onnxruntime, on one thread: the networks are small and requests come in parallel."""
+PredictorFactory = Callable[[bytes, Sequence[Tensor], Sequence[Tensor]], Predictor]
+"""Creates a predictor from the bytes of a graph and the inputs and outputs that the graph must have."""
 
-    def __init__(self, model: bytes, kind: ContextKind) -> None:
-        """Create a session from bytes that were verified.
+
+class OnnxPredictor:
+    """A graph in onnxruntime, on one thread: the networks are small, and requests run in parallel."""
+
+    def __init__(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> None:
+        """Create a session from verified bytes.
+
+        Args:
+            model: the ONNX file.
+            inputs: the inputs that the graph must have, in order: rows, and for a model with context also the contexts
+                and the index of each row's context.
+            outputs: the outputs that it must have, in order: mean and std.
 
         Raises:
-            BrokenModelError: the graph holds what it may not, the runtime refuses it, or its tensors are not those of
-                the contract.
+            BrokenModelError: the graph holds what a graph may not, onnxruntime refuses it, or its tensors differ.
         """
         inspect_graph(model)
         options = onnxruntime.SessionOptions()
@@ -61,50 +73,47 @@ class OnnxPredictor:
             self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # onnxruntime's own errors share no root below this
             raise BrokenModelError("model.onnx: onnxruntime refuses the graph") from error
-        # It keeps the file, to begin anew on another device where this one fails: here is no other.
+        # The session keeps the file in memory to fall back to another device. There is no other device here.
         self._session.disable_fallback()
         self._session._model_bytes = None
-        _check_tensors("inputs", self._session.get_inputs(), expected_inputs(kind))
-        _check_tensors("outputs", self._session.get_outputs(), OUTPUTS)
-        self._kind = kind
+        _check_tensors("inputs", self._session.get_inputs(), inputs)
+        _check_tensors("outputs", self._session.get_outputs(), outputs)
+        self._inputs = tuple(tensor.name for tensor in inputs)
+        self._outputs = tuple(tensor.name for tensor in outputs)
+        self._padding = np.zeros((ROWS_AT_ONCE, int(inputs[0].shape[-1])), dtype=np.float32)
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
+        self, rows: FloatArray, context: FloatArray | None, context_index: IndexArray | None
     ) -> tuple[FloatArray, FloatArray]:
         """See ``Predictor.predict``."""
-        pushes = len(pusher)
-        missing = -pushes % PUSHES_AT_ONCE
+        count = len(rows)
+        missing = -count % ROWS_AT_ONCE
         if missing:
-            pusher = np.concatenate((pusher, _PADDING[:missing]))
-        feed: dict[str, FloatArray | IndexArray | None] = {"pusher": pusher}
-        if self._kind is not ContextKind.NONE:
-            if missing and context_index is not None:
-                context_index = np.concatenate((context_index, _FIRST[:missing]))
-            feed |= {"context": context, "context_index": context_index}
+            rows = np.concatenate((rows, self._padding[:missing]))
+            if context_index is not None:
+                context_index = np.concatenate((context_index, _FIRST_CONTEXT[:missing]))
+        feed = dict(zip(self._inputs, (rows, context, context_index), strict=False))
         try:
-            mean, std = self._session.run(("mean", "std"), feed)
+            mean, std = self._session.run(self._outputs, feed)
         except Exception as error:  # see above
             raise PredictionError("the runtime could not evaluate the model") from error
         if missing:
-            mean, std = mean[:pushes], std[:pushes]
+            mean, std = mean[:count], std[:count]
         if not _is_gaussian(mean, std):
             raise PredictionError("the model gave a mean or std that is not finite, or a std that is not positive")
         return mean, std
 
 
 def _is_gaussian(mean: FloatArray, std: FloatArray) -> bool:
-    """Whether all is finite and every std positive; one push is checked without numpy, whose calls cost more."""
+    """Return whether all values are finite and every std positive; one row is checked without numpy's overhead."""
     if len(mean) == 1:
         means, stds = mean[0].tolist(), std[0].tolist()
         return all(map(math.isfinite, means)) and all(map(math.isfinite, stds)) and min(stds) > 0.0
     return bool(np.isfinite(mean).all() and np.isfinite(std).all() and (std > 0.0).all())
 
 
-_TYPES = {"float32": "tensor(float)", "int64": "tensor(int64)"}
-
-
-def _check_tensors(what: str, found: list[onnxruntime.NodeArg], expected: tuple[Tensor, ...]) -> None:
-    """Names, types, rank and fixed dimensions, in order."""
+def _check_tensors(which: str, found: list[onnxruntime.NodeArg], expected: Sequence[Tensor]) -> None:
+    """Compare names, types, rank and fixed dimensions, in order."""
     given = [(tensor.name, tensor.type, [d if isinstance(d, int) else None for d in tensor.shape]) for tensor in found]
     wanted = [
         (tensor.name, _TYPES[tensor.dtype], [d if isinstance(d, int) else None for d in tensor.shape])
@@ -112,4 +121,4 @@ def _check_tensors(what: str, found: list[onnxruntime.NodeArg], expected: tuple[
     ]
     if given != wanted:
         names = ", ".join(f"{tensor.name} {tensor.dtype} {list(tensor.shape)}" for tensor in expected)
-        raise BrokenModelError(f"model.onnx: the {what} are not those of the contract: {names}")
+        raise BrokenModelError(f"model.onnx: the {which} are not those of the contract: {names}")

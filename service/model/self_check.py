@@ -1,27 +1,27 @@
-"""A stored input and the output that belongs to it: the proof that a model is what was published, and still answers."""
+"""The self-check of a version: a stored input and the output that belongs to it."""
 
 import numpy as np
 
 from service.errors import BrokenModelError, CazslError
 from service.model.manifest import Manifest
 from service.model.predictor import Predictor
-from service.pushing.contexts import VISUAL_SIZE, ContextKind
 
 
 def check_itself(manifest: Manifest, predictor: Predictor) -> None:
     """Run the stored input and compare with the stored output.
 
     Raises:
-        BrokenModelError: it gives something else.
+        BrokenModelError: the output differs by more than the stored tolerance, or the input cannot be run.
     """
     check = manifest.self_check
     try:
-        pusher = np.array(check.pusher, dtype=np.float32)
-        context = np.array(check.context, dtype=np.float32)
-        if manifest.context_kind is ContextKind.VISUAL:
-            context = context.reshape(-1, 1, VISUAL_SIZE, VISUAL_SIZE)
-        index = np.array(check.context_index, dtype=np.int64)
-        found = np.stack(predictor.predict(pusher, context, index))
+        rows = np.array(check.pusher, dtype=np.float32)
+        context, index = None, None
+        if len(manifest.inputs) > 1:
+            _, *shape = manifest.inputs[1].shape  # the manifest stores each context as one row of numbers
+            context = np.array(check.context, dtype=np.float32).reshape(-1, *map(int, shape))
+            index = np.array(check.context_index, dtype=np.int64)
+        found = np.stack(predictor.predict(rows, context, index))
         expected = np.array([check.mean, check.std], dtype=np.float32)
     except (ValueError, CazslError) as error:
         raise BrokenModelError("self-check: the stored input cannot be run") from error

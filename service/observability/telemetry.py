@@ -3,23 +3,18 @@
 The trace that a caller is in (W3C Trace Context, header ``traceparent``) is logged too, when it is one.
 """
 
-import asyncio
 import itertools
 import logging
 import re
-import sys
 import time
 import uuid
 from collections.abc import Awaitable, Callable, Mapping
 from datetime import UTC, datetime
-from logging.config import dictConfig
-from typing import Any, Final, Protocol, TextIO, get_args
+from typing import Any, Final, Protocol, get_args
 
-import orjson
-from pythonjsonlogger.core import RESERVED_ATTRS
-from pythonjsonlogger.json import JsonFormatter
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.observability.logs import RequestLog
 from service.observability.timings import Part, Parts, listen
 
 _ID_HEADER: Final = b"x-request-id"
@@ -27,67 +22,12 @@ _TRACE_HEADER: Final = b"traceparent"
 _TRACE = re.compile(rb"(?!ff)[0-9a-f]{2}-(?!0{32})([0-9a-f]{32})-(?!0{16})([0-9a-f]{16})-[0-9a-f]{2}(?:-.*)?")
 _TRACE_LENGTH: Final = 55
 _SAFE_ID = re.compile(rb"[A-Za-z0-9._-]{1,64}")
-_HEAD: Final = {"level": "INFO", "logger": __name__, "message": "request"}
-_ORJSON: Final = orjson.OPT_UTC_Z
-_FLUSH_S: Final = 0.2
-_FLUSH_LINES: Final = 512
 _QUIET_ROUTES: Final = frozenset({"/livez", "/readyz", "/metrics"})
 _PART_FIELDS: Final[Mapping[Part, str]] = {part: f"{part}_ms" for part in get_args(Part)}
 _NOTHING: Final[Mapping[str, Any]] = {}
 
 logger = logging.getLogger(__name__)
 InternalError = Callable[[Scope, Receive, Send], Awaitable[None]]
-
-
-def configure_logging(level: str) -> None:
-    """One JSON line per event on standard error, uvicorn's own lines included."""
-    dictConfig(
-        {
-            "version": 1,
-            "disable_existing_loggers": False,
-            "formatters": {
-                "json": {
-                    "()": JsonFormatter,
-                    "format": "{levelname}{name}{message}",
-                    "style": "{",
-                    "timestamp": "time",
-                    "rename_fields": {"levelname": "level", "name": "logger"},
-                    "reserved_attrs": [*RESERVED_ATTRS, "color_message"],  # uvicorn's second form of its message
-                }
-            },
-            "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "json"}},
-            "loggers": {"python_multipart": {"level": "ERROR"}},  # it repeats what is wrong in forms, byte by byte
-            "root": {"level": level, "handlers": ["stderr"]},
-        }
-    )
-
-
-class RequestLog:
-    """A JSON line for every request, written together a few times a second: a write each costs as much as a prediction.
-
-    Lines that are not written yet are lost when the process is killed; ``flush`` writes them at an orderly end.
-    """
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = stream
-        self._lines: list[dict[str, object]] = []
-
-    def add(self, line: dict[str, object]) -> None:
-        """Take a line; it is written soon."""
-        if not self._lines:
-            asyncio.get_running_loop().call_later(_FLUSH_S, self.flush)
-        self._lines.append(line)
-        if len(self._lines) >= _FLUSH_LINES:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what there is."""
-        lines, self._lines = self._lines, []
-        text = b"\n".join([orjson.dumps(_HEAD | line, option=_ORJSON) for line in lines])
-        if lines:
-            stream = self._stream or sys.stderr
-            stream.write(text.decode() + "\n")
-            stream.flush()
 
 
 def request_id_of(scope: Scope) -> str:

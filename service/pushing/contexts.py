@@ -9,19 +9,14 @@ in the same frame. Angles going in may be any real number and are wrapped to (-p
 Standard library and numpy only.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Final, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from service.errors import FieldFault, InvalidRequestError
-
-FloatArray = npt.NDArray[np.float32]
-IndexArray = npt.NDArray[np.int64]
+from service.model.tensors import ContextKind, FloatArray
 
 SIDES: Final = 4
 SHAPE_DIGITS: Final = "1234"  # concave, triangular, circular, rectangular
@@ -31,46 +26,6 @@ TRIANGULAR: Final = "2"
 BITS_PER_SIDE: Final = len(SHAPE_DIGITS) + len(WEIGHT_LETTERS)
 INDICATOR_LENGTH: Final = SIDES * BITS_PER_SIDE
 VISUAL_SIZE: Final = 32
-PUSH_LENGTH_M: Final = 0.050
-POSE_NAMES: Final = ("x", "y", "angle")
-
-
-class ContextKind(StrEnum):
-    """What a model wants to know about the object."""
-
-    NONE = "none"
-    INDICATOR = "indicator"
-    VISUAL = "visual"
-
-
-def wrap_angle(angle_rad: float) -> float:
-    """The same direction in (-pi, pi]."""
-    if -math.pi < angle_rad <= math.pi:
-        return angle_rad
-    wrapped = math.remainder(angle_rad, 2.0 * math.pi)  # in [-pi, pi], exact
-    return math.pi if wrapped == -math.pi else wrapped
-
-
-@dataclass(frozen=True, slots=True)
-class Pose:
-    """A planar pose in the object frame: metres, metres, radians."""
-
-    x_m: float
-    y_m: float
-    angle_rad: float
-
-    @classmethod
-    def wrapped(cls, x_m: float, y_m: float, angle_rad: float) -> Self:
-        """The pose with its angle in (-pi, pi]."""
-        return cls(x_m, y_m, wrap_angle(angle_rad))
-
-
-@dataclass(frozen=True, slots=True)
-class GaussianPose:
-    """An independent Gaussian over the object's pose after the push: metres, metres, radians; std is positive."""
-
-    mean: Pose
-    std: Pose
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +61,7 @@ class ObjectContext:
         """
         if len(descriptor) != 2 * SIDES:
             accepted = "8 characters: four times a shape digit 1-4 and a weight letter a, b, c, B or C"
-            raise InvalidRequestError([FieldFault(where, f"{len(descriptor)} characters", accepted)])
+            raise InvalidRequestError.at(where, f"{len(descriptor)} characters", accepted)
         return cls._from_sides([Side(*descriptor[2 * i : 2 * i + 2]) for i in range(SIDES)], where)
 
     @classmethod
@@ -118,7 +73,7 @@ class ObjectContext:
         """
         if len(indicator) != INDICATOR_LENGTH:
             accepted = f"{INDICATOR_LENGTH} values: for each of {SIDES} sides, 4 for the shape and 5 for the weight"
-            raise InvalidRequestError([FieldFault(where, f"{len(indicator)} values", accepted)])
+            raise InvalidRequestError.at(where, f"{len(indicator)} values", accepted)
         faults: list[FieldFault] = []
         sides: list[Side] = []
         for number in range(1, SIDES + 1):
@@ -196,7 +151,7 @@ class VisualContext:
         """
         if len(levels) != VISUAL_SIZE**2:
             accepted = f"{VISUAL_SIZE**2} bytes: {VISUAL_SIZE} rows of {VISUAL_SIZE} grey levels"
-            raise InvalidRequestError([FieldFault(where, f"{len(levels)} bytes", accepted)])
+            raise InvalidRequestError.at(where, f"{len(levels)} bytes", accepted)
         return cls(bytes(levels))
 
     @property

@@ -8,22 +8,22 @@ where both versions were measured on the same data and set-up.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from service.inference.loaded_models import LoadedModel
-from service.model.manifest import Calibration
-from service.pushing.contexts import VISUAL_SIZE, ContextKind, FloatArray, ObjectContext
+from service.model.domain import Verdict
+from service.model.loaded_model import LoadedModel
+from service.model.tensors import ContextKind, FloatArray
+from service.pushing.contexts import VISUAL_SIZE, ObjectContext
+from service.pushing.poses import wrap_angles
 
 Array = npt.NDArray[np.float64]
 START_M: Final = 0.080  # from the centre, where the benchmark's pushes start
 BEARINGS_RAD: Final = tuple(-math.pi + 0.05 + 2.0 * math.pi * step / 24 for step in range(24))
 OFFSETS_M: Final = tuple(0.0025 * step for step in range(-12, 13))  # beside the centre: within every object's outline
 STEP_RAD: Final = 1e-4  # on either side of pi
-LEVELS: Final = (0.50, 0.90, 0.95)
 # Objects of every shape, with no, one and two weights, from the held-out half of the published division.
 OBJECTS: Final = (
     "1a1a3a3a",
@@ -38,23 +38,8 @@ OBJECTS: Final = (
 )
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What one gate found: the figure, the most that it may be, and what both mean."""
-
-    gate: str
-    passed: bool
-    figure: float
-    limit: float
-    meaning: str
-
-
-def judge(candidate: LoadedModel, champion: LoadedModel | None) -> list[Verdict]:
-    """Every gate's verdict on a version that was loaded, and so passed verification and self-check."""
-    return [*_physics(candidate), *([] if champion is None else _figures(candidate, champion))]
-
-
-def _physics(model: LoadedModel) -> Iterator[Verdict]:
+def physics_gates(model: LoadedModel) -> Iterator[Verdict]:
+    """Run the gates that need no data: no contact, turned objects, continuity of the angle at pi."""
     rmse = max(metrics.rmse for metrics in model.manifest.metrics.values())
     found = _rms(model, _means(model, 0, _pushes(0.0)))
     yield _verdict("no-contact", found, rmse, "rms motion of objects that the pusher moves away from")
@@ -78,7 +63,7 @@ def _verdict(gate: str, figure: float, limit: float, meaning: str) -> Verdict:
 def _pushes(heading_rad: float) -> Array:
     """Pushes from all around, heading away from the centre or, turned by pi, towards it; (24, 3)."""
     bearing = np.array(BEARINGS_RAD)
-    return np.column_stack([START_M * np.cos(bearing), START_M * np.sin(bearing), _wrapped(bearing + heading_rad)])
+    return np.column_stack([START_M * np.cos(bearing), START_M * np.sin(bearing), wrap_angles(bearing + heading_rad)])
 
 
 def _turned(model: LoadedModel, quarters: int) -> float:
@@ -86,7 +71,7 @@ def _turned(model: LoadedModel, quarters: int) -> float:
     pushes, turn = _pushes(math.pi), quarters * math.pi / 2.0
     turning = np.array([[math.cos(turn), math.sin(turn), 0.0], [-math.sin(turn), math.cos(turn), 0.0], [0.0, 0.0, 1.0]])
     turned = pushes @ turning
-    turned[:, 2] = _wrapped(pushes[:, 2] + turn)
+    turned[:, 2] = wrap_angles(pushes[:, 2] + turn)
     return _rms(model, _means(model, quarters, turned) - _means(model, 0, pushes) @ turning)
 
 
@@ -117,47 +102,5 @@ def _contexts(model: LoadedModel, quarters: int) -> FloatArray:
 
 def _rms(model: LoadedModel, difference: Array) -> float:
     """Root mean square over all pushes and the 3 outputs, in units of the published output deviations."""
-    difference = np.concatenate([difference[..., :2], _wrapped(difference[..., 2:])], axis=-1)
+    difference = np.concatenate([difference[..., :2], wrap_angles(difference[..., 2:])], axis=-1)
     return float(np.sqrt(np.mean((difference / np.array(model.manifest.normalisation.output_std)) ** 2)))
-
-
-def _wrapped(angle_rad: Array) -> Array:
-    return np.remainder(angle_rad + math.pi, 2.0 * math.pi) - math.pi
-
-
-def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]:
-    """Held-out likelihood and coverage, set-up by set-up of the champion."""
-    ours, theirs = candidate.manifest, champion.manifest
-    same = ours.data.sha256 == theirs.data.sha256  # figures are named by the set-up that they were measured on
-    for set_up in sorted(theirs.metrics):
-        if not same or set_up not in ours.metrics:
-            meaning = f"{set_up}: measured on other data than version {theirs.version}, and so not comparable"
-            yield Verdict("held-out", False, math.inf, 0.0, meaning)
-            continue
-        nll, limit = ours.metrics[set_up].nll, theirs.metrics[set_up].nll
-        yield Verdict(
-            "nll", nll <= limit, nll, limit, f"{set_up}: NLL per push; version {theirs.version} has {limit:.3f}"
-        )
-        if set_up in ours.calibration and set_up in theirs.calibration:
-            yield _coverage(set_up, ours.calibration[set_up], theirs.calibration[set_up], ours.data.held_out_pushes)
-
-
-def _coverage(set_up: str, ours: Calibration, theirs: Calibration, pushes: int) -> Verdict:
-    """How far the coverage is from its level, at the level where it is most beyond the champion's.
-
-    Two standard errors of a share of that many pushes are allowed for chance.
-    """
-
-    def at(level: float, mine: float, other: float) -> tuple[float, float, float]:
-        """Figure, limit and level."""
-        chance = 2.0 * math.sqrt(level * (1.0 - level) / max(pushes, 1))
-        return abs(mine - level), abs(other - level) + chance, level
-
-    levels = [at(*each) for each in zip(LEVELS, _levels(ours), _levels(theirs), strict=True)]
-    figure, limit, level = max(levels, key=lambda each: each[0] - each[1])
-    meaning = f"{set_up}: distance of the coverage from {level:.0%}; may be {limit:.4f}"
-    return Verdict("coverage", figure <= limit, figure, limit, meaning)
-
-
-def _levels(calibration: Calibration) -> tuple[float, float, float]:
-    return calibration.coverage_50, calibration.coverage_90, calibration.coverage_95

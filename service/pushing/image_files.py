@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from service.errors import FieldFault, ImageTooLargeError, InvalidImageError, UnsupportedImageError
+from service.errors import ImageTooLargeError, InvalidImageError, UnsupportedImageError
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 JPEG_START: Final = b"\xff\xd8\xff"
@@ -290,4 +290,4 @@ def _endless(where: str) -> InvalidImageError:
 
 
 def _invalid(where: str, received: str, accepted: str) -> InvalidImageError:
-    return InvalidImageError([FieldFault(where, received, accepted)])
+    return InvalidImageError.at(where, received, accepted)

@@ -14,9 +14,7 @@ How pixels become one grey level in [0, 1]:
 
 import io
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import lru_cache
 from typing import Any, Final, Self
 
@@ -24,10 +22,11 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from service.errors import FieldFault, InvalidImageError, RequestError
+from service.errors import InvalidImageError, RequestError
 from service.observability.timings import timed
 from service.pushing.contexts import VISUAL_SIZE, VisualContext
 from service.pushing.image_files import ImageLimits, read_image_file
+from service.pushing.image_quality import QualityFlag, quality_flags, thumbnail_png
 
 __all__ = [
     "BACKGROUND_LEVEL",
@@ -62,11 +61,6 @@ Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
 
 _WEIGHT_BITS: Final = 18  # 16 bits of level and twice 18 of weight: every sum is a whole number below 2**53, so exact
 _GAUSSIAN_REACH: Final = 4.0  # standard deviations, as in scipy's filter
-_THUMBNAIL_SCALE: Final = 8
-
-_LEAST_CONTRAST: Final = 0.15  # between the mean levels of object and background
-_OFF_CENTRE_CELLS: Final = 2.5  # 12 mm; an object's middle lies up to 6 mm from its core's centre
-_SECOND_OBJECT_SHARE: Final = 0.05  # of the largest object's area
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,15 +92,6 @@ class GreyImage:
     def full_scale(self) -> int:
         """The number that means 1."""
         return int(np.iinfo(self.levels.dtype).max)
-
-
-class QualityFlag(StrEnum):
-    """What looks wrong in a picture; the prediction made from it may be worth little."""
-
-    BLANK = "blank"  # nothing stands out
-    CLIPPED = "clipped"  # the object touches the border
-    OFF_CENTRE = "off_centre"  # the object's middle is not the picture's
-    SEVERAL_OBJECTS = "several_objects"
 
 
 def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "image") -> GreyImage:  # noqa: B008 frozen
@@ -146,34 +131,6 @@ def visual_context(image: GreyImage) -> VisualContext:
     one = image.full_scale << 2 * _WEIGHT_BITS
     rounded = (total.astype(np.int64) * (2 * 255) + one) // (2 * one)
     return VisualContext.from_bytes(rounded.astype(np.uint8).tobytes())
-
-
-def quality_flags(context: VisualContext) -> tuple[QualityFlag, ...]:
-    """What is odd about a picture, judged on what the model sees of it."""
-    grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
-    bright = grey > _threshold(grey)
-    if grey.min() == grey.max() or grey[bright].mean() - grey[~bright].mean() < _LEAST_CONTRAST * 255:
-        return (QualityFlag.BLANK,)
-    areas = sorted(_connected(bright), key=len, reverse=True)
-    cells = areas[0]
-    lowest, highest = cells.min(axis=0), cells.max(axis=0)
-    offset = np.abs((lowest + highest) / 2 - (VISUAL_SIZE - 1) / 2)
-    found = {
-        QualityFlag.CLIPPED: lowest.min() == 0 or highest.max() == VISUAL_SIZE - 1,
-        QualityFlag.OFF_CENTRE: offset.max() > _OFF_CENTRE_CELLS,
-        QualityFlag.SEVERAL_OBJECTS: len(areas) > 1 and len(areas[1]) > _SECOND_OBJECT_SHARE * len(cells),
-    }
-    return tuple(flag for flag, raised in found.items() if raised)
-
-
-def thumbnail_png(context: VisualContext) -> bytes:
-    """What the model sees as a PNG of 256 x 256, every level a block of 8 x 8 pixels."""
-    grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
-    blocks = grey.repeat(_THUMBNAIL_SCALE, axis=0).repeat(_THUMBNAIL_SCALE, axis=1)
-    buffer = io.BytesIO()
-    # from an array, which Pillow only looks at: for pixels of its own it would cut a kept block to this size
-    Image.fromarray(blocks).save(buffer, "PNG")
-    return buffer.getvalue()
 
 
 def _levels(image: Image.Image) -> Levels:
@@ -241,28 +198,5 @@ def _mirrored(index: npt.NDArray[np.int64], side: int) -> npt.NDArray[np.int64]:
     return np.minimum(index, period - index)
 
 
-def _threshold(grey: npt.NDArray[np.uint8]) -> int:
-    """The level that parts the darker from the brighter with the least spread within both (Otsu 1979)."""
-    counts = np.bincount(grey.ravel(), minlength=256).astype(np.float64)
-    below, sums = counts.cumsum(), (counts * np.arange(256)).cumsum()
-    above = below[-1] - below
-    spread = (sums[-1] * below - below[-1] * sums) ** 2 / np.maximum(below * above, 1.0)
-    return int(spread.argmax())
-
-
-def _connected(bright: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int64]]:
-    """The patches of cells that touch side to side, each (cells, 2)."""
-    left = {(int(row), int(column)) for row, column in np.argwhere(bright)}
-    while left:
-        patch, edge = [], [left.pop()]
-        while edge:
-            row, column = edge.pop()
-            patch.append((row, column))
-            around = {(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)} & left
-            left -= around
-            edge += around
-        yield np.array(patch)
-
-
 def _invalid(where: str, received: str, accepted: str) -> InvalidImageError:
-    return InvalidImageError([FieldFault(where, received, accepted)])
+    return InvalidImageError.at(where, received, accepted)

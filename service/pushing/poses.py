@@ -7,9 +7,13 @@ large against those on the object.
 """
 
 import math
+from dataclasses import dataclass
+from typing import Final, Self
 
 import numpy as np
 import numpy.typing as npt
+
+from service.errors import FieldFault, InvalidRequestError
 
 DoubleArray = npt.NDArray[np.float64]
 _TURN_RAD = 2.0 * math.pi
@@ -42,3 +46,63 @@ def into_world_frame(mean: DoubleArray, std: DoubleArray, objects: DoubleArray) 
     covariance[:, 0, 1] = covariance[:, 1, 0] = cos * sin * (vx - vy)
     covariance[:, 2, 2] = va
     return turned, covariance
+
+
+PUSH_LENGTH_M: Final = 0.050
+POSE_NAMES: Final = ("x", "y", "angle")
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The same direction in (-pi, pi]."""
+    if -math.pi < angle_rad <= math.pi:
+        return angle_rad
+    wrapped = math.remainder(angle_rad, 2.0 * math.pi)  # in [-pi, pi], exact
+    return math.pi if wrapped == -math.pi else wrapped
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A planar pose in the object frame: metres, metres, radians."""
+
+    x_m: float
+    y_m: float
+    angle_rad: float
+
+    @classmethod
+    def wrapped(cls, x_m: float, y_m: float, angle_rad: float) -> Self:
+        """The pose with its angle in (-pi, pi]."""
+        return cls(x_m, y_m, wrap_angle(angle_rad))
+
+
+@dataclass(frozen=True, slots=True)
+class GaussianPose:
+    """An independent Gaussian over the object's pose after the push: metres, metres, radians; std is positive."""
+
+    mean: Pose
+    std: Pose
+
+
+REACH_M: Final = 1.0  # a push is 50 mm: further from the object nothing can touch it
+
+
+def _reachable(poses: DoubleArray, where: str, most_m: float = REACH_M) -> DoubleArray:
+    """The poses, angles wrapped, when all are near enough.
+
+    Raises:
+        InvalidRequestError: names the first that is not.
+    """
+    far = np.abs(poses[:, :2]) > most_m
+    if far.any():
+        row, column = (int(place) for place in np.argwhere(far)[0])
+        raise InvalidRequestError([unreachable(f"{where}.{row}", float(poses[row, column]), most_m)])
+    wrapped = poses.copy()
+    wrapped[:, 2] = wrap_angles(poses[:, 2])
+    return wrapped
+
+
+def unreachable(where: str, value_m: float, most_m: float = REACH_M) -> FieldFault:
+    """The fault of a push that is further out than that along an axis."""
+    return FieldFault(where, f"{value_m:.6g} m", f"-{most_m:g} to {most_m:g} m along each of the object's axes")
+
+
+WORLD_M: Final = 1e6  # as far as positions in the world may go: float64 keeps them to a nanometre

@@ -3,7 +3,8 @@
 from collections.abc import Iterator
 
 from service.errors import BrokenModelError, CazslError
-from service.inference.loaded_models import PredictorFactory, load_version
+from service.model.loaded_model import PredictorFactory
+from service.registry.loading import load_version
 from service.registry.registry import Registry
 from service.storage.base import Finding
 

@@ -13,17 +13,8 @@ from pathlib import Path
 from typing import Final
 
 from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
-from service.model.manifest import (
-    CARD_FILE,
-    FORMAT,
-    MANIFEST_FILE,
-    MODEL_FILE,
-    FileDigest,
-    Manifest,
-    ModelReference,
-    is_alias,
-    is_name,
-)
+from service.model.manifest import CARD_FILE, FORMAT, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
+from service.model.reference import ModelReference, is_alias, is_name
 from service.registry.verification import (
     MAX_CARD_BYTES,
     MAX_MANIFEST_BYTES,

@@ -8,16 +8,31 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from service.errors import FieldFault, InvalidRequestError
+from service.errors import InvalidRequestError
 from service.pushing.contexts import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
-from service.pushing.images import decode, quality_flags, thumbnail_png, visual_context
-from service.schemas.predictions import Body, VisualContextBody
+from service.pushing.image_quality import quality_flags, thumbnail_png
+from service.pushing.images import decode, visual_context
+from service.schemas.body import Body
 
 INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
     "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
     "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
 )
+# what a model sees of the image that is the example in requests: a grey square in the middle, and its thumbnail
+_SEEN_EXAMPLE = base64.b64encode(bytes(256) + (bytes(8) + b"\x80" * 16 + bytes(8)) * 16 + bytes(256)).decode()
+
+
+_THUMBNAIL_EXAMPLE = (
+    "iVBORw0KGgoAAAANSUhEUgAAAQAAAAEACAAAAAB5Gfe6AAABRklEQVR4nO3QgQkAIAwEMXVyR3cIhUNIBmiPHwMAAAAA"
+    "AAAAAAAAAAAAAAD43bw9sB9ElP/Xi4ifGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZ"
+    "oA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmg"
+    "DqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAO"
+    "qBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA4A"
+    "AAAAAAAAAAAAAAAAAAAAuHUAko8CAFqKhPgAAAAASUVORK5CYII="
+)
+
+
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
 # for the document only: our own words say which side is wrong, and why
 _DESCRIPTOR: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
@@ -40,6 +55,32 @@ def _one_form(schema: dict[str, Any]) -> None:
     """Say in the document that exactly one of the fields is given, and is not null."""
     schema["oneOf"] = [
         {"required": [form], "properties": {form: {"not": {"type": "null"}}}} for form in schema["properties"]
+    ]
+
+
+class VisualContextBody(Body):
+    """What a model sees of an image, to be used again, and what looks wrong in it."""
+
+    visual: Annotated[
+        str,
+        Field(
+            description="base64 of 1,024 grey levels, row by row: the field visual of a context",
+            examples=[_SEEN_EXAMPLE],
+        ),
+    ]
+    thumbnail_png: Annotated[
+        str,
+        Field(
+            description="base64 of a PNG of 256 x 256 pixels: what the model sees, to be looked at",
+            examples=[_THUMBNAIL_EXAMPLE],
+        ),
+    ]
+    flags: Annotated[
+        list[str],
+        Field(
+            description="what looks wrong: blank, clipped, off_centre, several_objects; then do not trust it far",
+            examples=[[]],
+        ),
     ]
 
 
@@ -103,7 +144,7 @@ class ContextBody(Body):
         given = [name for name in _FORMS if getattr(self, name) is not None]
         if len(given) != 1:
             received = " and ".join(given) or "no form"
-            raise InvalidRequestError([FieldFault(where, received, f"exactly one of {', '.join(_FORMS)}")])
+            raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(_FORMS)}")
         if self.descriptor is not None:
             return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
         if self.indicator is not None:
@@ -142,15 +183,15 @@ def _decode_base64(text: str, where: str) -> bytes:
         return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
         received = f"a text of {len(text)} characters that is not base64"
-        raise InvalidRequestError([FieldFault(where, received, "base64 with its padding (RFC 4648)")]) from error
+        raise InvalidRequestError.at(where, received, "base64 with its padding (RFC 4648)") from error
 
 
 def _levels(rows: list[list[float]], where: str) -> bytes:
     """Grey levels of rows of numbers in [0, 1]."""
     if len(rows) != VISUAL_SIZE or any(len(row) != VISUAL_SIZE for row in rows):
         received = f"{len(rows)} rows"
-        raise InvalidRequestError([FieldFault(where, received, f"{VISUAL_SIZE} rows of {VISUAL_SIZE} numbers")])
+        raise InvalidRequestError.at(where, received, f"{VISUAL_SIZE} rows of {VISUAL_SIZE} numbers")
     grey = np.array(rows)
     if not (grey.min() >= 0.0 and grey.max() <= 1.0):
-        raise InvalidRequestError([FieldFault(where, "a number outside [0, 1]", "0 (black) to 1 (white)")])
+        raise InvalidRequestError.at(where, "a number outside [0, 1]", "0 (black) to 1 (white)")
     return np.floor(grey * 255.0 + 0.5).astype(np.uint8).tobytes()

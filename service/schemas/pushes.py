@@ -11,15 +11,21 @@ import orjson
 from pydantic import FailFast, Field
 from pydantic.config import JsonDict
 
-from service.errors import FieldFault, InvalidRequestError, MalformedBodyError
-from service.model.manifest import ModelReference
-from service.pushing.contexts import IndexArray, wrap_angle
-from service.pushing.poses import DoubleArray, into_object_frame, wrap_angles
+from service.errors import InvalidRequestError, MalformedBodyError
+from service.model.reference import ModelReference
+from service.model.tensors import IndexArray
+from service.pushing.poses import (
+    REACH_M,
+    WORLD_M,
+    DoubleArray,
+    _reachable,
+    into_object_frame,
+    unreachable,
+    wrap_angle,
+)
+from service.schemas.body import Body
 from service.schemas.contexts import ContextBody
-from service.schemas.predictions import Body
-from service.schemas.rows import MAX_PUSHES, WORLD_M, Rows
-
-REACH_M: Final = 1.0  # a push is 50 mm: further from the object nothing can touch it
+from service.schemas.rows import MAX_PUSHES, Rows
 
 
 class PusherBody(Body):
@@ -181,7 +187,7 @@ class BatchRequest(Prediction):
             return None
         if len(self.object_poses) not in (1, len(self.pushers)):
             received, accepted = f"{len(self.object_poses)} poses", f"1, or {len(self.pushers)}: one per push"
-            raise InvalidRequestError([FieldFault("body.object_poses", received, accepted)])
+            raise InvalidRequestError.at("body.object_poses", received, accepted)
         return _reachable(self.object_poses, "body.object_poses", WORLD_M)
 
     def pusher_poses(self) -> DoubleArray:
@@ -204,21 +210,21 @@ class BatchRequest(Prediction):
         """
         count, contexts = len(self.pushers), len(self.contexts or ())
         if not contexts:
-            raise InvalidRequestError([FieldFault("body.contexts", "nothing", "contexts for context_index")])
+            raise InvalidRequestError.at("body.contexts", "nothing", "contexts for context_index")
         if self.context_index is None:
             if contexts == 1:
                 return np.zeros(count, dtype=np.int64)
             if contexts == count:
                 return np.arange(count, dtype=np.int64)
             accepted = f"1, or {count}: one per push, or any number with context_index"
-            raise InvalidRequestError([FieldFault("body.contexts", f"{contexts} contexts", accepted)])
+            raise InvalidRequestError.at("body.contexts", f"{contexts} contexts", accepted)
         if len(self.context_index) != count:
             received = f"{len(self.context_index)} values"
-            raise InvalidRequestError([FieldFault("body.context_index", received, f"{count} values: one per push")])
+            raise InvalidRequestError.at("body.context_index", received, f"{count} values: one per push")
         wrong = next((row for row, place in enumerate(self.context_index) if not 0 <= place < contexts), None)
         if wrong is not None:
             received, accepted = "a place that contexts does not have", f"0 to {contexts - 1}"
-            raise InvalidRequestError([FieldFault(f"body.context_index.{wrong}", received, accepted)])
+            raise InvalidRequestError.at(f"body.context_index.{wrong}", received, accepted)
         return np.array(self.context_index, dtype=np.int64)
 
 
@@ -234,23 +240,3 @@ def read_batch(content: bytes) -> BatchRequest:
     except orjson.JSONDecodeError as error:
         raise MalformedBodyError(f"body: received no JSON ({error}); accepted is JSON in UTF-8") from error
     return BatchRequest.model_validate(document)
-
-
-def _reachable(poses: DoubleArray, where: str, most_m: float = REACH_M) -> DoubleArray:
-    """The poses, angles wrapped, when all are near enough.
-
-    Raises:
-        InvalidRequestError: names the first that is not.
-    """
-    far = np.abs(poses[:, :2]) > most_m
-    if far.any():
-        row, column = (int(place) for place in np.argwhere(far)[0])
-        raise InvalidRequestError([unreachable(f"{where}.{row}", float(poses[row, column]), most_m)])
-    wrapped = poses.copy()
-    wrapped[:, 2] = wrap_angles(poses[:, 2])
-    return wrapped
-
-
-def unreachable(where: str, value_m: float, most_m: float = REACH_M) -> FieldFault:
-    """The fault of a push that is further out than that along an axis."""
-    return FieldFault(where, f"{value_m:.6g} m", f"-{most_m:g} to {most_m:g} m along each of the object's axes")

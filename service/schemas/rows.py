@@ -13,10 +13,9 @@ from pydantic import FailFast, Field, GetCoreSchemaHandler, GetPydanticSchema, V
 from pydantic.config import JsonDict
 from pydantic_core import CoreSchema, core_schema
 
-from service.pushing.poses import DoubleArray
+from service.pushing.poses import WORLD_M, DoubleArray
 
 MAX_PUSHES: Final = 10_000
-WORLD_M: Final = 1e6  # as far as positions in the world may go: float64 keeps them to a nanometre
 _POSE_PARTS: Final = 3
 _LIST, _LENGTH, _NUMBERS = {list}, {_POSE_PARTS}, {float, int}
 

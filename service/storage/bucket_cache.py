@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Final
 
 from service.errors import BrokenModelError
-from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest, is_name
+from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
+from service.model.reference import is_name
 from service.storage.disk import discard, write_synced
 
 WHOLE: Final = frozenset({MANIFEST_FILE, MODEL_FILE, CARD_FILE})

@@ -23,12 +23,12 @@ from pathlib import Path
 from typing import Final, Self
 
 from service.errors import BrokenModelError, ConflictError, PublishError, RegistryError
-from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, is_name, parse_version
+from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest
+from service.model.reference import is_name, parse_version
 from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, Finding
 from service.storage.bucket import FAILURES, AlreadyExistsError, Bucket, reason
 from service.storage.bucket_cache import Cache
-from service.storage.folder_writer import user
-from service.storage.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState
+from service.storage.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState, user
 
 STATE_FILE: Final = "state.json"
 HISTORY: Final = "history"

@@ -6,6 +6,7 @@ asked for what others wrote.
 
 import fcntl
 import os
+import secrets
 import shutil
 import stat
 import time
@@ -90,6 +91,20 @@ def write_synced(path: Path, content: bytes) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def replace_whole(path: Path, content: bytes) -> None:
+    """Create or replace a file as a whole: a reader, or a crash, sees the old content or the new, never a part.
+
+    The bytes are written and synced under a hidden name in the same folder, which is then renamed and synced.
+    """
+    part = path.with_name(f".{path.name}.{secrets.token_hex(4)}.part")
+    try:
+        write_synced(part, content)
+        part.replace(path)
+        sync(path.parent)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_all(descriptor: int, content: bytes) -> None:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from service.errors import BrokenModelError, PublishError, RegistryError
-from service.model.manifest import is_alias, is_name, parse_version
+from service.model.reference import is_alias, is_name, parse_version
 from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, Finding
 from service.storage.disk import lock, must_be_folder, read_plain, reason
 from service.storage.folder_writer import ALIASES, REMOVED, SIGNATURES, STAGING_PREFIX, FolderWriter

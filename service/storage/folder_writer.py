@@ -1,7 +1,6 @@
 """One change to one model on a plain disk, made by whoever holds the lock on its history."""
 
 import contextlib
-import getpass
 import hashlib
 import os
 import secrets
@@ -12,7 +11,7 @@ from typing import Final
 from service.errors import RegistryError
 from service.model.manifest import MANIFEST_FILE
 from service.storage.disk import discard, must_be_folder, reason, sync, write_all, write_synced
-from service.storage.history import PUBLISH, REPAIR, SIGN, Event, History, ModelState, unrecorded
+from service.storage.history import PUBLISH, REPAIR, SIGN, Event, History, ModelState, unrecorded, user
 
 ALIASES: Final = "aliases"
 REMOVED: Final = "removed"
@@ -146,11 +145,3 @@ class FolderWriter:
         events = (*self._history.events, signed)
         self._history = History(events, head=hashlib.sha256(line).hexdigest())
         return signed
-
-
-def user() -> str:
-    """Who changes something, for the history."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user without an entry in passwd
-        return str(os.getuid())

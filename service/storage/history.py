@@ -9,8 +9,10 @@ A writer that is killed leaves at most a torn last line, or a change that no lin
 one, records the other, and says so.
 """
 
+import getpass
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -210,3 +212,11 @@ def _moment(text: str) -> datetime | None:
 
 def _wanted(key: str, value: object) -> bool:
     return value is not None or key in ("from", "to")
+
+
+def user() -> str:
+    """Who changes something, for the history."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a container's user without an entry in passwd
+        return str(os.getuid())

@@ -15,11 +15,10 @@ from pydantic import ValidationError
 from starlette.datastructures import Headers as HeadersByName
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.open_inference.queries import LENGTH_HEADER, LIGHT_BYTES, InferRequest, ask_inference, infer
+from service.api.open_inference.queries import LIGHT_BYTES, InferRequest, ask_inference, infer
+from service.api.open_inference.wire import LENGTH_HEADER
 from service.api.v1.queries import (
     LIGHT_PUSHES,
-    Answer,
-    Asked,
     Question,
     ask_batch,
     ask_one,
@@ -31,8 +30,10 @@ from service.api.v1.queries import (
 )
 from service.api.v1.uploads import read_upload
 from service.errors import CazslError, DeadlineError
-from service.inference.loaded_models import LoadedModels, Snapshot
+from service.inference.loaded_models import LoadedModels
 from service.inference.micro_batching import Turns
+from service.inference.query import Answer, Asked
+from service.inference.snapshot import Snapshot
 from service.schemas.pushes import PredictRequest, read_batch
 from service.transport.admission import WholeBody
 from service.transport.keys import Keys

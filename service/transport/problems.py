@@ -6,18 +6,15 @@ Never a traceback, a path or the body.
 import re
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import orjson
-from fastapi import FastAPI, Request
-from fastapi.exceptions import RequestValidationError
 from fastapi.responses import Response
-from starlette.exceptions import HTTPException
 from starlette.types import Scope
 
 from service.errors import CazslError, FieldFault, InvalidRequestError
 from service.observability.telemetry import request_id_of
-from service.schemas.predictions import FaultBody, ProblemBody
+from service.schemas.problems import FaultBody, ProblemBody
 
 MEDIA_TYPE: Final = "application/problem+json"
 MAX_FAULTS: Final = 10
@@ -28,34 +25,6 @@ _HEADERS: Final[Mapping[HTTPStatus, Mapping[str, str]]] = {
     HTTPStatus.TOO_MANY_REQUESTS: {"Retry-After": "1"},
     HTTPStatus.SERVICE_UNAVAILABLE: {"Retry-After": "1"},
 }
-_HTTP_CODES: Final = {
-    404: ("no_such_route", "There is no such route"),
-    405: ("method_not_allowed", "The route does not take this method"),
-}
-
-
-def install_problem_handlers(app: FastAPI) -> None:
-    """Answer every failure of the app as a problem."""
-    app.add_exception_handler(CazslError, _on_error)
-    app.add_exception_handler(RequestValidationError, _on_validation)
-    app.add_exception_handler(HTTPException, _on_http)
-
-
-async def _on_error(request: Request, error: Exception) -> Response:
-    return problem_response(request.scope, cast(CazslError, error))
-
-
-async def _on_validation(request: Request, error: Exception) -> Response:
-    return problem_response(request.scope, invalid_request(cast(RequestValidationError, error).errors()))
-
-
-async def _on_http(request: Request, raised: Exception) -> Response:
-    """What the framework refuses by itself: routes, methods, bodies that grew over the limit."""
-    error = cast(HTTPException, raised)
-    phrase = HTTPStatus(error.status_code).phrase
-    code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
-    detail = "see /docs for the routes and their methods"
-    return _render(request.scope, error.status_code, code, title, detail, (), error.headers)
 
 
 def problem_response(scope: Scope, error: CazslError) -> Response:
@@ -138,14 +107,3 @@ def _in_words(value: Any) -> str:
             return f"a list of {len(value)} values"
         case _:
             return "an object"
-
-
-def state_media_type(document: dict[str, Any]) -> dict[str, Any]:
-    """Say in an OpenAPI document that problems come as problem+json; FastAPI writes its own type for every model."""
-    for operations in document["paths"].values():
-        for operation in operations.values():
-            for response in operation["responses"].values():
-                content = response.get("content", {})
-                if content.get("application/json", {}).get("schema") == {"$ref": "#/components/schemas/ProblemBody"}:
-                    response["content"] = {MEDIA_TYPE: content.get(MEDIA_TYPE, {}) | content["application/json"]}
-    return document

@@ -10,7 +10,7 @@ from service.errors import BrokenModelError
 from service.inference.loaded_models import LoadedModels
 from service.model.onnx_graph import inspect_graph
 from service.model.predictor import OnnxPredictor, Predictor
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from service.registry.registry import Registry
 from tests.attacks.hostile_graphs import ATTACKS, honest
 from tests.fakes import load_fake, publish_fake

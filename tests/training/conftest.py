@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from service.pushing.contexts import ObjectContext
+from training.omnipush.declaration import declare_dataset
 from training.omnipush.published import omnipush_descriptors
-from training.omnipush.pushes import Pushes, declare_dataset, read_folder, write_object
+from training.omnipush.pushes import Pushes, read_folder, write_object
 
 if TYPE_CHECKING:
     from training.fitting.recipe import Recipe

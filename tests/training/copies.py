@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from training.omnipush.declaration import declare_dataset
 from training.omnipush.files import Array, Variant
-from training.omnipush.pushes import declare_dataset, write_object
+from training.omnipush.pushes import write_object
 
 SOURCE = "synthetic pushes of a test"
 

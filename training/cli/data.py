@@ -10,7 +10,7 @@ from training.cli.errors import mend
 from training.inspection.inspection import inspect
 from training.inspection.text import inspection_document, inspection_lines
 from training.omnipush.files import Variant
-from training.omnipush.variants import export_variants
+from training.omnipush.pushes import export_variants
 
 VARIANTS: Final = {"raw": (Variant.RAW,), "normalised": (Variant.NORMALISED,), "both": tuple(Variant)}
 folder_argument = click.argument("folder", type=click.Path(path_type=Path))

@@ -10,11 +10,11 @@ import click
 from training.cli.errors import mend
 from training.inspection.statistics import likeness, missed
 from training.inspection.text import likeness_lines
-from training.inspection.views import VIEWS_FOLDER
 from training.omnipush.published import different_surfaces, omnipush_descriptors, published_normalisation
 from training.omnipush.pushes import read_folder
-from training.simulation import dataset as simulate
-from training.simulation import drawing as images
+from training.omnipush.views import VIEWS_FOLDER, read_views
+from training.simulation.dataset import SimulationPlan, simulate_dataset
+from training.simulation.drawing import write_views
 from training.simulation.surfaces import ABS, SURFACES
 
 SIMULATED: Final = Path("data/simulated")
@@ -38,11 +38,11 @@ def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads:
     """
     for name in SURFACES if surface == "all" else (surface,):
         objects = omnipush_descriptors() if name == ABS.name else different_surfaces().test
-        plan = simulate.SimulationPlan(objects, pushes, seed, SURFACES[name])
+        plan = SimulationPlan(objects, pushes, seed, SURFACES[name])
         started = time.perf_counter()
-        simulated = simulate.simulate_dataset(plan, folder / name, threads)
+        simulated = simulate_dataset(plan, folder / name, threads)
         _describe_pushes(folder / name, simulated, time.perf_counter() - started)
-        images.write_views(folder / VIEWS_FOLDER, objects)
+        write_views(folder / VIEWS_FOLDER, objects)
     click.echo(f"{folder / VIEWS_FOLDER}: what they look like from above; next: cazsl-train fit push-indicator")
 
 
@@ -83,8 +83,8 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
         return
     folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
     descriptors = omnipush_descriptors()
-    images.write_views(folder, descriptors, camera, seed)
-    seen = images.read_views(folder, descriptors)
+    write_views(folder, descriptors, camera, seed)
+    seen = read_views(folder, descriptors)
     digest = hashlib.sha256(seen.tobytes()).hexdigest()
     click.echo(f"{folder}: {len(seen)} views of 481 x 481; sha256 of the 32 x 32 that models see: {digest}")
     click.echo("next: cazsl-train images --gallery views.png, and look at it")

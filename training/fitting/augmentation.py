@@ -15,7 +15,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from service.pushing.contexts import BITS_PER_SIDE, PUSH_LENGTH_M, SIDES
+from service.pushing.contexts import BITS_PER_SIDE, SIDES
+from service.pushing.poses import PUSH_LENGTH_M
 from training.fitting.samples import Samples
 from training.networks.angles import wrapped
 from training.omnipush.published import published_normalisation

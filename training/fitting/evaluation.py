@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from service.pushing.contexts import FloatArray
+from service.model.tensors import FloatArray
+from training.fitting.neural_process_step import predict_targets
 from training.fitting.samples import Samples
-from training.networks.neural_process import NeuralProcess, predict_targets
+from training.networks.neural_process import NeuralProcess
 from training.networks.push_network import PushNetwork
 
 DISTANCE_MM_PER_RMSE: Final = 21.92  # the paper's factor: norm of the x and y output deviations

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from service.errors import DataError
-from service.model.manifest import is_name
-from service.pushing.contexts import ContextKind
+from service.model.reference import is_name
+from service.model.tensors import ContextKind
 from training.networks.methods import METHODS, Method
 from training.omnipush.published import Split, all_objects, different_objects, different_surfaces, different_weights
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -11,14 +11,13 @@ import torch
 from torch import Tensor
 
 from service.errors import DataError
-from service.pushing.contexts import ContextKind, FloatArray
+from service.model.tensors import ContextKind, FloatArray
 from training.networks.push_network import Shape
 from training.omnipush.published import Split, published_normalisation
 from training.omnipush.pushes import Pushes, read_folder
-from training.simulation.drawing import read_views
+from training.omnipush.views import read_views, views_beside
 
 AnyArray = npt.NDArray[np.floating[Any]]
-VIEWS_FOLDER: Final = "top-down_view"
 
 
 @dataclass(frozen=True)
@@ -135,8 +134,3 @@ def read_pushes(folder: Path, kind: ContextKind, views: Path | None = None) -> P
     if kind is not ContextKind.VISUAL:
         return pushes
     return pushes.with_views(read_views(views or views_beside(folder), pushes.descriptors))
-
-
-def views_beside(folder: Path) -> Path:
-    """Where the top-down views of a surface's objects are unless said otherwise: beside it, as Omnipush has them."""
-    return folder.parent / VIEWS_FOLDER

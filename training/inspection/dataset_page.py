@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, PathPatch
 from matplotlib.path import Path as DrawnPath
 
-from service.pushing.contexts import PUSH_LENGTH_M, ObjectContext
+from service.pushing.contexts import ObjectContext
+from service.pushing.poses import PUSH_LENGTH_M
 from training.inspection.statistics import likeness, missed
 from training.omnipush.published import published_normalisation
 from training.omnipush.pushes import Pushes

@@ -17,11 +17,11 @@ from training.inspection.findings import Finding, ObjectPushes, Severity, odd_no
 from training.inspection.object_lists import Membership, membership
 from training.inspection.statistics import Likeness, likeness, missed
 from training.inspection.views import find_views, missing_views, odd_views
+from training.omnipush.declaration import UNKNOWN_SOURCE, read_source
 from training.omnipush.files import Array, FilePair, FolderListing, Variant, list_folder, read_pair
 from training.omnipush.layout import SurfaceKind, surface_folders, surface_kind, view_places
 from training.omnipush.object_identity import named
 from training.omnipush.published import published_normalisation
-from training.omnipush.pushes import UNKNOWN_SOURCE, read_source
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from service.errors import DataError, InvalidRequestError
 from service.pushing.contexts import ObjectContext
 from training.inspection.findings import Finding, Severity
 from training.omnipush.object_identity import canonical_descriptor, named
-from training.simulation.drawing import read_view
+from training.omnipush.views import read_view
 
 VIEWS_FOLDER: Final = "top-down_view"
 _PREFIX: Final = "shape_"

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 
 
 class ContextUse(StrEnum):

@@ -20,17 +20,13 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from training.fitting.losses import gaussian_divergence, gaussian_nll
-from training.fitting.samples import Samples
 from training.networks.attention import WIDTH, Attention, Embedded
 from training.networks.mixed_precision import rounded_last
-from training.networks.push_network import POSE, Prediction, bounded
+from training.networks.push_network import POSE, bounded
 
 ATTENTION_LAYERS: Final = 2
 DECODER_WIDTH: Final = 3 * WIDTH
 DECODER_LAYERS: Final = 3
-SUPPORT: Final = 50
-SUPPORT_SHARE: Final = 0.2  # of objects with fewer pushes than Omnipush's 250
 
 
 @dataclass(frozen=True)
@@ -112,56 +108,3 @@ class NeuralProcess(nn.Module):
     def forward(self, support: Points, inputs: Tensor) -> tuple[Tensor, Tensor]:
         """Predict with the mean of the prior: nothing of the targets but their inputs is known."""
         return self.decode(support, inputs, self.latent(support)[0])
-
-
-def divide(samples: Samples) -> tuple[Points, Points]:
-    """Draw each object's support, 50 of its pushes, from torch's generator; the others are the targets.
-
-    Support comes before padding: an object with a single push has it as support and no target.
-    """
-    rows = samples.valid.shape[1]
-    count = min(SUPPORT, max(1, round(SUPPORT_SHARE * rows)))
-    order = (torch.rand(samples.valid.shape).to(samples.valid.device) + (1.0 - samples.valid)).argsort(dim=1)
-    pick = order[..., None]
-    inputs, targets = samples.inputs.take_along_dim(pick, 1), samples.targets.take_along_dim(pick, 1)
-    valid = samples.valid.take_along_dim(order, 1)
-    return (
-        Points(inputs[:, :count], targets[:, :count], valid[:, :count]),
-        Points(inputs[:, count:], targets[:, count:], valid[:, count:]),
-    )
-
-
-def loss_terms(network: NeuralProcess, samples: Samples, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """The two terms of the evidence bound, per target value: negative log likelihood, and divergence from the prior."""
-    support, targets = divide(samples)
-    with torch.autocast(samples.inputs.device.type, dtype=dtype, enabled=dtype != torch.float32):
-        posterior_mean, posterior_std = (value.float() for value in network.latent(targets))
-        prior_mean, prior_std = (value.float() for value in network.latent(support))
-        drawn = posterior_mean + posterior_std * torch.randn_like(posterior_std)
-        mean, log_std = network.decode(support, targets.inputs, drawn)
-    values = targets.valid.sum() * targets.targets.shape[-1]
-    divergence = gaussian_divergence(posterior_mean, posterior_std, prior_mean, prior_std)
-    divergence = (divergence * targets.valid.amax(dim=1)).sum() / values  # none where there is no target
-    return gaussian_nll(mean, log_std, targets.targets, targets.valid), divergence
-
-
-def set_gradients(network: NeuralProcess, samples: Samples, dtype: torch.dtype) -> tuple[Tensor, Tensor]:
-    """Set the gradient of the bound in every parameter; its two terms."""
-    network.zero_grad()
-    likelihood, divergence = loss_terms(network, samples, dtype)
-    torch.autograd.backward(likelihood + divergence)
-    return likelihood.detach(), divergence.detach()
-
-
-def predict_targets(
-    network: NeuralProcess, samples: Samples, seed: int = 0, leak: bool = False
-) -> tuple[Prediction, Points]:
-    """Gaussians for the targets of a division that depends on the seed alone, and these targets.
-
-    With ``leak`` the latent variable is the posterior's mean, which knows the outcomes: only to show what that does.
-    """
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        support, targets = divide(samples)
-    latent = network.latent(targets if leak else support)[0]
-    return Prediction(*network.decode(support, targets.inputs, latent), None), targets

@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ContextKind
+from service.model.tensors import ContextKind
+from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
 from training.networks.angles import circular
 from training.networks.encoders import context_distance, context_encoder
 from training.networks.methods import ContextUse, Method

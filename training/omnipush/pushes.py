@@ -7,17 +7,19 @@ holds ``dataset.json``, which says so: everything made from it carries that name
 """
 
 import hashlib
-import json
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from tqdm import tqdm
 
 from service.errors import DataError
-from service.pushing.contexts import INDICATOR_LENGTH, FloatArray, ObjectContext
+from service.model.tensors import FloatArray
+from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext
+from training.omnipush.declaration import copy_declaration, read_source
 from training.omnipush.files import (
     Array,
     FilePair,
@@ -28,8 +30,6 @@ from training.omnipush.files import (
     read_content,
     read_pair,
     write_pair,
-    write_whole,
-    writing,
 )
 from training.omnipush.layout import surface_folders
 from training.omnipush.object_identity import find_kinds
@@ -37,8 +37,6 @@ from training.omnipush.published import published_normalisation
 
 PUSHER_SUFFIX: Final = Variant.RAW.pusher_suffix
 OUTCOME_SUFFIX: Final = Variant.RAW.outcome_suffix
-DATASET_FILE: Final = "dataset.json"
-UNKNOWN_SOURCE: Final = "Omnipush-format files of undeclared origin"
 
 
 @dataclass(frozen=True)
@@ -159,25 +157,6 @@ def has_object(folder: Path, descriptor: str) -> bool:
     return all((folder / (descriptor + suffix)).is_file() for suffix in (PUSHER_SUFFIX, OUTCOME_SUFFIX))
 
 
-def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
-    """Write down what a folder holds before anything is in it, or check that it is what is already there.
-
-    Raises:
-        DataError: the folder holds something else, or cannot be written.
-    """
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    path = folder / DATASET_FILE
-    text = json.dumps(declaration, indent=2, sort_keys=True) + "\n"
-    if path.exists():
-        if path.read_bytes() != text.encode():
-            raise DataError(f"{path} declares another dataset; give an empty folder, or remove this one")
-    elif any(folder.glob("*.npy")):
-        raise DataError(f"{folder} already holds pushes that nothing declares as simulated; give an empty folder")
-    else:
-        write_whole(path, text.encode())
-
-
 def _read_array(path: Path, digest: "hashlib._Hash") -> Array:
     content = read_content(path)
     digest.update(f"{path.name}\0{len(content)}\0".encode())
@@ -196,35 +175,25 @@ def _padded(arrays: Iterable[npt.NDArray[np.float64]], rows: int) -> FloatArray:
     return np.stack([np.pad(array, ((0, rows - len(array)), (0, 0))) for array in arrays]).astype(np.float32)
 
 
-def copy_declaration(folder: Path, target: Path) -> None:
-    """Make a target for the pushes of a folder: declared as that folder is, or empty of pushes where nothing is.
+def export_variants(folder: Path, target: Path, variants: Collection[Variant], quiet: bool = False) -> int:
+    """Write every object of a folder into another; the declaration of a simulated folder goes with it.
+
+    Returns:
+        The number of objects written.
 
     Raises:
-        DataError: the target holds something else, or cannot be written.
+        DataError: a file is broken, or the target holds something else or cannot be written.
     """
-    path = folder / DATASET_FILE
-    if path.is_file():
-        read_source(folder)
-        declare_dataset(target, json.loads(path.read_text(encoding="utf-8")))
-        return
-    if target.is_dir() and any(target.glob("*.npy")):
-        raise DataError(f"{target} already holds pushes; give an empty folder")
-    with writing(target):
-        target.mkdir(parents=True, exist_ok=True)
-
-
-def read_source(folder: Path) -> str:
-    """Where the pushes of a folder come from, as it declares; undeclared origin is called that.
-
-    Raises:
-        DataError: the declaration does not say.
-    """
-    path = folder / DATASET_FILE
-    if not path.is_file():
-        return UNKNOWN_SOURCE
-    try:
-        return str(json.loads(path.read_text(encoding="utf-8"))["source"])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DataError(
-            f"{path} does not say where the pushes come from (key 'source'); restore or remove it"
-        ) from error
+    listing = list_folder(folder)
+    if listing.faults:
+        raise listing.faults[0]
+    if not listing.pairs:
+        raise DataError(f"{folder} holds no *{Variant.RAW.pusher_suffix} file; name the folder of one surface")
+    if target.is_dir() and target.samefile(folder):
+        raise DataError(f"{target} is the folder to export; name another one to write to")
+    copy_declaration(folder, target)
+    for pair in tqdm(
+        listing.pairs.values(), desc="writing", unit="object", disable=True if quiet else None, leave=False
+    ):
+        write_object(target, pair.descriptor, *read_object(pair), variants)
+    return len(listing.pairs)

@@ -12,7 +12,7 @@ from enum import StrEnum
 from importlib import resources
 from typing import Final
 
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from training.fitting.recipe import Recipe
 from training.networks.methods import (
     ANP,

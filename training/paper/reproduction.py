@@ -19,11 +19,12 @@ from tqdm import tqdm
 
 from service.bulk.executors import ThisProcess, Workforce
 from service.errors import CazslError, DataError
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from training.fitting.evaluation import Evaluation, evaluate
 from training.fitting.recipe import SET_UPS, Recipe
+from training.fitting.run_folder import COST_FILE
 from training.fitting.samples import TrainingData, read_training_data
-from training.fitting.training_loop import COST_FILE, fit
+from training.fitting.training_loop import fit
 from training.networks.methods import METHODS
 from training.networks.neural_process import NeuralProcess
 from training.paper import gaussian_process

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from service.model.manifest import Manifest
-from service.pushing.contexts import POSE_NAMES
+from service.pushing.poses import POSE_NAMES
 from training.fitting.evaluation import Evaluation
 from training.omnipush.pushes import Pushes
 

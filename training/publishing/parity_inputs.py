@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from service.pushing.contexts import VISUAL_SIZE, ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.contexts import VISUAL_SIZE
 
 
 @dataclass(frozen=True)

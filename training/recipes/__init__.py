@@ -1,0 +1,1 @@
+"""The recipes that ship with the trainer, one TOML file each; ``training.fitting.recipe`` reads them."""

@@ -19,8 +19,10 @@ import numpy as np
 from mujoco import rollout
 from tqdm import tqdm
 
-from service.pushing.contexts import PUSH_LENGTH_M, ObjectContext
-from training.omnipush import pushes as data
+from service.pushing.contexts import ObjectContext
+from service.pushing.poses import PUSH_LENGTH_M
+from training.omnipush.declaration import declare_dataset
+from training.omnipush.pushes import has_object, write_object
 from training.simulation.scene import PUSHER_RADIUS_M, TIME_STEP_S, scene
 from training.simulation.solids import Solid, clearance_m, solid
 from training.simulation.surfaces import ABS, Array, Conditions, FrictionField, Surface, draw_conditions
@@ -74,8 +76,8 @@ def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = N
     Raises:
         DataError: the folder holds another dataset.
     """
-    data.declare_dataset(folder, plan.declaration())
-    missing = [descriptor for descriptor in plan.descriptors if not data.has_object(folder, descriptor)]
+    declare_dataset(folder, plan.declaration())
+    missing = [descriptor for descriptor in plan.descriptors if not has_object(folder, descriptor)]
     threads = threads or os.cpu_count() or 1
     # one plate for all objects, as in a laboratory
     field = FrictionField(plan.surface, np.random.default_rng([plan.seed, *plan.surface.name.encode()]))
@@ -87,7 +89,7 @@ def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = N
             pushers = sample_pushers(body, plan.pushes_per_object, rng)
             conditions = draw_conditions(plan.surface, field, len(pushers), rng)
             outcomes = push_object(body, pushers, conditions, pool, threads)
-            data.write_object(folder, descriptor, *record(pushers, outcomes, rng))
+            write_object(folder, descriptor, *record(pushers, outcomes, rng))
     return len(missing) * plan.pushes_per_object
 
 

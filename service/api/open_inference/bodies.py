@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import ConfigDict, Field
 
 from service.api.open_inference.wire import LARGEST_RANK, MAX_ROWS, Parameters, render
-from service.schemas.predictions import Body
+from service.schemas.body import Body
+from service.schemas.contexts import INDICATOR_EXAMPLE
 
 _RAW_EXAMPLE, _ = render(
     {"model_name": "push-indicator", "model_version": "1"},
@@ -171,3 +172,26 @@ class InferResponseBody(Body):
     model_version: Annotated[str, Field(description="its version", examples=["1"])]
     id: Annotated[str | None, Field(description="that of the request", examples=["42"])] = None
     outputs: Annotated[list[InferTensorBody], Field(description="in the order asked for", examples=[[_OUTPUT_EXAMPLE]])]
+
+
+INFERENCE: Final = {
+    "one push": {
+        "value": {
+            "id": "42",
+            "inputs": [
+                {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]},
+                {"name": "context", "datatype": "FP32", "shape": [1, 36], "data": INDICATOR_EXAMPLE},
+            ],
+        }
+    },
+    "two pushes of two objects, their mean alone": {
+        "value": {
+            "inputs": [
+                {"name": "pusher", "datatype": "FP32", "shape": [2, 3], "data": [[-0.075, 0, 0], [0, -0.075, 1.5708]]},
+                {"name": "context", "datatype": "FP32", "shape": [2, 36], "data": [INDICATOR_EXAMPLE] * 2},
+                {"name": "context_index", "datatype": "INT64", "shape": [2], "data": [1, 0]},
+            ],
+            "outputs": [{"name": "mean"}],
+        }
+    },
+}

@@ -13,21 +13,21 @@ from typing import Any, Final
 import numpy as np
 
 from service.api.open_inference.wire import Array, InferPart, read_inputs, read_json, render
-from service.api.v1.queries import Answer, Asked, Objects
 from service.errors import (
     BodyTooLargeError,
-    FieldFault,
     InvalidRequestError,
     MalformedBodyError,
     UnsupportedMediaTypeError,
 )
-from service.inference.loaded_models import LoadedModel, Snapshot
-from service.model.manifest import OUTPUTS, ModelReference, parse_version
-from service.pushing.contexts import ContextKind, FloatArray, IndexArray, ObjectContext
-from service.pushing.poses import wrap_angles
-from service.schemas.pushes import REACH_M
+from service.inference.query import Answer, Asked, Objects
+from service.inference.snapshot import Snapshot
+from service.model.loaded_model import LoadedModel
+from service.model.reference import ModelReference, parse_version
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.contexts import ObjectContext
+from service.pushing.onnx_interface import OUTPUTS
+from service.pushing.poses import REACH_M, wrap_angles
 
-LENGTH_HEADER: Final = "inference-header-content-length"
 LIGHT_BYTES: Final = 16 * 1024  # as much is read in about the time that handing it to a thread takes
 _OUTPUT_NAMES: Final = tuple(tensor.name for tensor in OUTPUTS)
 _WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
@@ -54,7 +54,7 @@ def parse_reference(model: str, version: str | None) -> ModelReference:
         return parsed
     number = parse_version(version)
     if number is None:
-        raise InvalidRequestError([FieldFault("version", "no version", "a positive integer")])
+        raise InvalidRequestError.at("version", "no version", "a positive integer")
     return ModelReference(parsed.name, None, number)
 
 
@@ -136,7 +136,7 @@ def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:
     for output in part.outputs:
         if output.name not in _OUTPUT_NAMES or output.name in wanted:
             accepted = f"each of {', '.join(_OUTPUT_NAMES)} once"
-            raise InvalidRequestError([FieldFault("outputs", "an unknown output or one twice", accepted)])
+            raise InvalidRequestError.at("outputs", "an unknown output or one twice", accepted)
         wanted[output.name] = (output.parameters or {}).get("binary_data", every) is True
     return wanted
 
@@ -144,12 +144,12 @@ def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:
 def _pushers(given: Array | None) -> FloatArray:
     """Pushes (n, 3) within reach, their angles wrapped."""
     if given is None:
-        raise InvalidRequestError([FieldFault("inputs", "no tensor pusher", "pusher, FP32 [n, 3]")])
+        raise InvalidRequestError.at("inputs", "no tensor pusher", "pusher, FP32 [n, 3]")
     far = np.abs(given[:, :2]) > REACH_M
     if far.any():
         row = int(np.argwhere(far)[0][0])
         accepted = f"-{REACH_M:g} to {REACH_M:g} m along each of the object's axes"
-        raise InvalidRequestError([FieldFault(f"inputs pusher[{row}]", "a push out of reach", accepted)])
+        raise InvalidRequestError.at(f"inputs pusher[{row}]", "a push out of reach", accepted)
     pushers: FloatArray = given.astype(np.float32)
     pushers[:, 2] = wrap_angles(given[:, 2].astype(np.float64))
     return pushers
@@ -163,21 +163,19 @@ def _contexts(
         return None, None
     given, index = inputs.get("context"), inputs.get("context_index")
     if given is None:
-        raise InvalidRequestError([FieldFault("inputs", "no tensor context", "context, as the model's metadata says")])
+        raise InvalidRequestError.at("inputs", "no tensor context", "context, as the model's metadata says")
     contexts = _levels(given) if model.manifest.context_kind is ContextKind.VISUAL else _indicators(given)
     if index is None:
         if len(contexts) not in (1, count):
             accepted = f"context_index, or one context, or {count}: one per push"
-            raise InvalidRequestError([FieldFault("inputs context", f"{len(contexts)} contexts", accepted)])
+            raise InvalidRequestError.at("inputs context", f"{len(contexts)} contexts", accepted)
         one_each = np.arange(count, dtype=np.int64)
         return contexts, np.zeros(count, dtype=np.int64) if len(contexts) == 1 else one_each
     if len(index) != count:
-        raise InvalidRequestError(
-            [FieldFault("inputs context_index", f"{len(index)} values", f"{count}: one per push")]
-        )
+        raise InvalidRequestError.at("inputs context_index", f"{len(index)} values", f"{count}: one per push")
     if index.min() < 0 or index.max() >= len(contexts):
         accepted = f"0 to {len(contexts) - 1}"
-        raise InvalidRequestError([FieldFault("inputs context_index", "a place that context does not have", accepted)])
+        raise InvalidRequestError.at("inputs context_index", "a place that context does not have", accepted)
     return contexts, index.astype(np.int64)
 
 
@@ -205,7 +203,7 @@ def _known(row: bytes) -> ObjectContext:
 def _levels(given: Array) -> FloatArray:
     """Visual contexts (g, 1, 32, 32), rounded to 8 bits."""
     if given.min() < 0.0 or given.max() > 1.0:
-        raise InvalidRequestError([FieldFault("inputs context", "a level outside [0, 1]", "0 (black) to 1 (white)")])
+        raise InvalidRequestError.at("inputs context", "a level outside [0, 1]", "0 (black) to 1 (white)")
     levels = np.floor(given.astype(np.float64) * 255.0 + 0.5).astype(np.float32)
     contexts: FloatArray = levels / np.float32(255.0)
     return contexts

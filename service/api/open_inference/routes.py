@@ -13,6 +13,7 @@ from pydantic.config import JsonDict
 import service
 from service.api.dependencies import readiness_of, respond, snapshot_of, workers_of
 from service.api.open_inference.bodies import (
+    INFERENCE,
     RAW_ANSWER,
     ErrorBody,
     InferRequestBody,
@@ -24,19 +25,10 @@ from service.api.open_inference.bodies import (
     ServerReadyBody,
     TensorBody,
 )
-from service.api.open_inference.queries import (
-    LENGTH_HEADER,
-    LIGHT_BYTES,
-    InferRequest,
-    ask_inference,
-    infer,
-    inflate,
-    parse_reference,
-)
-from service.api.open_inference.wire import DATATYPES
+from service.api.open_inference.queries import LIGHT_BYTES, InferRequest, ask_inference, infer, inflate, parse_reference
+from service.api.open_inference.wire import DATATYPES, LENGTH_HEADER
 from service.api.openapi import protocol_errors
 from service.api.v1.queries import LIGHT_PUSHES
-from service.api.v1.request_examples import INFERENCE
 from service.errors import (
     BodyTooLargeError,
     CazslError,
@@ -51,7 +43,7 @@ from service.errors import (
     UnknownModelError,
     UnsupportedMediaTypeError,
 )
-from service.model.manifest import Tensor
+from service.model.tensors import Tensor
 
 _PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
 # for the document only: our own words say what is wrong with a name
@@ -59,8 +51,6 @@ _NAME: Final[JsonDict] = {"pattern": f"^{_PART}(@[a-z][a-z0-9_-]{{0,63}})?$"}
 _VERSION: Final[JsonDict] = {"pattern": "^[1-9][0-9]{0,8}$"}
 Name = Annotated[str, Path(description="a model, or model@alias", examples=["push-indicator"], json_schema_extra=_NAME)]
 Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
-
-
 _AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
 _NAMED: Final = (InvalidRequestError, UnknownModelError, *_AT_ONCE)
 _INFERRED: Final = (
@@ -74,8 +64,6 @@ _INFERRED: Final = (
     DeadlineError,
     *_NAMED,
 )
-
-
 _INFER_BODY: Final = {
     "requestBody": {
         "required": True,

@@ -15,8 +15,12 @@ import numpy.typing as npt
 import orjson
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from service.errors import FieldFault, InvalidRequestError, MalformedBodyError
-from service.model.manifest import Tensor
+from service.errors import (
+    FieldFault,
+    InvalidRequestError,
+    MalformedBodyError,
+)
+from service.model.tensors import Tensor
 
 DATATYPES: Final = {"float32": "FP32", "int64": "INT64"}
 _DTYPES: Final[dict[str, np.dtype[Any]]] = {"FP32": np.dtype("<f4"), "INT64": np.dtype("<i8")}
@@ -182,4 +186,7 @@ def _from_raw(given: InputPart, raw: memoryview, datatype: str, where: str) -> t
 
 
 def _fault(where: str, received: str, accepted: str) -> InvalidRequestError:
-    return InvalidRequestError([FieldFault(where, received, accepted)])
+    return InvalidRequestError.at(where, received, accepted)
+
+
+LENGTH_HEADER: Final = "inference-header-content-length"

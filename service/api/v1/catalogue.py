@@ -2,9 +2,10 @@
 
 import pydantic_core
 
-from service.inference.loaded_models import LoadedModel, Snapshot
-from service.model.manifest import ModelReference
-from service.schemas.predictions import ModelBody, ModelsBody, ModelVersionDetailBody
+from service.inference.snapshot import Snapshot
+from service.model.loaded_model import LoadedModel
+from service.model.reference import ModelReference
+from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 
 
 def models_body(models: Snapshot) -> ModelsBody:

@@ -4,91 +4,27 @@ Every way in comes through here, the fast one and the documented one, so that bo
 object frame are written as float32 needs them and no longer; those of the world frame as float64.
 """
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 import orjson
 
+from service.api.v1.object_contexts import _object, _objects, _seen
 from service.api.v1.uploads import Upload
-from service.errors import FieldFault, InvalidRequestError
-from service.inference.loaded_models import FIRST_OBJECT, LoadedModel, Snapshot
-from service.pushing.contexts import ContextKind, FloatArray, IndexArray, ObjectContext
-from service.pushing.images import decode, visual_context
+from service.inference.query import FIRST_OBJECT, NO_OBJECT, Answer, Asked, Objects
+from service.inference.snapshot import Snapshot
+from service.model.loaded_model import LoadedModel
+from service.model.tensors import ContextKind, FloatArray
 from service.pushing.poses import DoubleArray, into_world_frame
-from service.schemas.contexts import ContextBody, describe_image
+from service.schemas.contexts import describe_image
 from service.schemas.pushes import BatchRequest, Prediction, PredictRequest
 
 LIGHT_PUSHES: Final = 256  # as many are answered in about the time that handing them to a thread takes
 LIGHT_OBJECTS: Final = 256  # so many are encoded in the event loop
-MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
-_CACHED_OBJECTS: Final = 4096  # Omnipush has 250
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
 Render = Callable[[FloatArray | DoubleArray, FloatArray | DoubleArray, DoubleArray | None], dict[str, object]]
-
-
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """The bytes of an answer, how they are declared, and what the log says of it."""
-
-    content: bytes
-    notes: Mapping[str, str | int]
-    headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
-
-    def head(self) -> tuple[tuple[bytes, bytes], ...]:
-        """All headers, in the framework's order."""
-        return (*self.headers, (b"content-length", b"%d" % len(self.content)))
-
-
-@dataclass(frozen=True, slots=True)
-class Objects:
-    """Distinct objects as a model takes them, and which of them each push meets."""
-
-    kind: ContextKind
-    tensor: FloatArray | None
-    places: IndexArray | None
-
-
-NO_OBJECT: Final = Objects(ContextKind.NONE, None, None)
-
-
-@dataclass(frozen=True, slots=True)
-class Asked(ABC):
-    """Pushes of objects that a model is asked about; who asks says how the answer is written."""
-
-    model: LoadedModel
-    pushers: FloatArray  # (n, 3), in the object frame
-    objects: Objects
-
-    def answer(self) -> Answer:
-        """Ask the model.
-
-        Raises:
-            ContextKindError, PredictionError: as ``LoadedModel.predict``.
-        """
-        return self.answered(*self.predict())
-
-    def predict(self) -> tuple[FloatArray, FloatArray]:
-        """Mean and std (n, 3), as the model has them: the part that a thread can do while others read and write.
-
-        Raises:
-            ContextKindError, PredictionError: as ``LoadedModel.predict``.
-        """
-        objects = self.objects
-        return self.model.predict(self.pushers, objects.kind, objects.tensor, objects.places)
-
-    def notes(self) -> dict[str, str | int]:
-        """What the log says of the answer."""
-        manifest = self.model.manifest
-        return {"model": manifest.name, "version": manifest.version, "pushes": len(self.pushers)}
-
-    @abstractmethod
-    def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
-        """The answer that this mean and std (n, 3) make."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,14 +143,6 @@ def is_read_quickly(request: object) -> bool:
     return not isinstance(request, PredictRequest) or request.context is None or request.context.image is None
 
 
-def _object(request: PredictRequest) -> Objects:
-    return NO_OBJECT if request.context is None else Objects(*_encoded(request.context, "body.context"), FIRST_OBJECT)
-
-
-def _seen(image: bytes, places: IndexArray) -> Objects:
-    return Objects(ContextKind.VISUAL, visual_context(decode(image)).tensor()[None], places)
-
-
 def _one_push(model: LoadedModel, request: PredictRequest, objects: Objects) -> Question:
     return Question(model, request.pusher_poses().astype(np.float32), objects, request.objects(), _one)
 
@@ -240,48 +168,3 @@ def _columns(
 ) -> dict[str, object]:
     rows: dict[str, object] = {"mean": mean, "std": std}
     return rows if covariance is None else {**rows, "covariance": covariance}
-
-
-def _objects(contexts: Sequence[ContextBody], places: IndexArray) -> Objects:
-    """The distinct objects among contexts; those told by one descriptor are encoded once."""
-    if sum(context.image is not None for context in contexts) > MAX_IMAGES:
-        accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
-        raise InvalidRequestError([FieldFault("body.contexts", f"more than {MAX_IMAGES} images", accepted)])
-    kinds: dict[ContextKind, int] = {}
-    tensors: list[FloatArray] = []
-    known: dict[str, int] = {}
-    renumbered = np.empty(len(contexts), dtype=np.int64)
-    for number, context in enumerate(contexts):
-        descriptor = context.only_descriptor
-        place = None if descriptor is None else known.get(descriptor)
-        if place is None:
-            kind, tensor = _encoded(context, f"body.contexts.{number}")
-            kinds.setdefault(kind, number)
-            place = len(tensors)
-            tensors.append(tensor)
-            if descriptor is not None:
-                known[descriptor] = place
-        renumbered[number] = place
-    if len(kinds) > 1:
-        received = " and ".join(f"kind {kind} at {number}" for kind, number in kinds.items())
-        raise InvalidRequestError([FieldFault("body.contexts", received, "contexts of one kind")])
-    return Objects(next(iter(kinds)), np.concatenate(tensors), renumbered[places])
-
-
-def _encoded(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:
-    """Kind and tensor (1, ...) of one object."""
-    descriptor = context.only_descriptor
-    if descriptor is not None:
-        try:
-            return ContextKind.INDICATOR, _tensor_of(descriptor)
-        except InvalidRequestError:
-            pass  # said below, with its place
-    known = context.to_contract(where)
-    return known.kind, known.tensor()[None]
-
-
-@lru_cache(maxsize=_CACHED_OBJECTS)
-def _tensor_of(descriptor: str) -> FloatArray:
-    tensor = ObjectContext.from_descriptor(descriptor).tensor()[None]
-    tensor.setflags(write=False)
-    return tensor

@@ -56,27 +56,6 @@ MANY_PUSHES: Final = _request(
         },
     }
 )
-INFERENCE: Final = {
-    "one push": {
-        "value": {
-            "id": "42",
-            "inputs": [
-                {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]},
-                {"name": "context", "datatype": "FP32", "shape": [1, 36], "data": INDICATOR_EXAMPLE},
-            ],
-        }
-    },
-    "two pushes of two objects, their mean alone": {
-        "value": {
-            "inputs": [
-                {"name": "pusher", "datatype": "FP32", "shape": [2, 3], "data": [[-0.075, 0, 0], [0, -0.075, 1.5708]]},
-                {"name": "context", "datatype": "FP32", "shape": [2, 36], "data": [INDICATOR_EXAMPLE] * 2},
-                {"name": "context_index", "datatype": "INT64", "shape": [2], "data": [1, 0]},
-            ],
-            "outputs": [{"name": "mean"}],
-        }
-    },
-}
 
 
 def _form(fields: dict[str, Any], rules: dict[str, Any], examples: dict[str, Any]) -> dict[str, Any]:

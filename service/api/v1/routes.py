@@ -9,10 +9,10 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.routing import APIRoute
 from pydantic import ValidationError
 
-from service.api.dependencies import may_predict, readiness_of, respond, snapshot_of, takes_json, workers_of
+from service.api.dependencies import may_predict, respond, snapshot_of, takes_json, workers_of
 from service.api.openapi import problems
 from service.api.v1.catalogue import model_body, models_body, version_body
-from service.api.v1.queries import Answer, describe_upload, is_light, predict_batch, predict_one, predict_upload
+from service.api.v1.queries import describe_upload, is_light, predict_batch, predict_one, predict_upload
 from service.api.v1.request_examples import IMAGE_UPLOAD, MANY_PUSHES, ONE_PUSH, PUSH_UPLOAD
 from service.api.v1.uploads import Upload, read_upload
 from service.errors import (
@@ -20,7 +20,6 @@ from service.errors import (
     CazslError,
     ContextKindError,
     DeadlineError,
-    FieldFault,
     ImageTooLargeError,
     InvalidImageError,
     InvalidRequestError,
@@ -35,26 +34,17 @@ from service.errors import (
     UnsupportedImageError,
     UnsupportedMediaTypeError,
 )
-from service.inference.loaded_models import Snapshot
-from service.schemas.predictions import (
-    BatchResponse,
-    LiveBody,
-    ModelBody,
-    ModelCheckBody,
-    ModelsBody,
-    ModelVersionDetailBody,
-    PredictResponse,
-    ProblemBody,
-    ReadyBody,
-    VisualContextBody,
-)
+from service.inference.query import Answer
+from service.inference.snapshot import Snapshot
+from service.schemas.contexts import VisualContextBody
+from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
+from service.schemas.predictions import BatchResponse, PredictResponse
+from service.schemas.problems import ProblemBody
 from service.schemas.pushes import BatchRequest, PredictRequest
 
 P = TypeVar("P", PredictRequest, BatchRequest)
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
 Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
-
-
 _AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
 _UPLOADED: Final = (
     MalformedBodyError,
@@ -69,24 +59,12 @@ _UPLOADED: Final = (
     DeadlineError,
     *_AT_ONCE,
 )
-_BAD_NAME: Final = InvalidRequestError(
-    [FieldFault("path.name", "a text of 65 characters", "String should have at most 64 characters")]
+_BAD_NAME: Final = InvalidRequestError.at(
+    "path.name", "a text of 65 characters", "String should have at most 64 characters"
 )
 _LOOKED_UP: Final = (UnknownModelError, NotAcceptableError, _BAD_NAME, *_AT_ONCE)
 _PREDICTED: Final = (*_UPLOADED, UnknownModelError, ContextKindError, ModelNotReadyError, PredictionError, CazslError)
 _NO_ENCODING: Final = "header Content-Encoding: received a compressed body; accepted is a plain one"
-_NOTHING_YET: Final = ReadyBody(
-    ready=False,
-    reason="not ready, looking again every 2 s, because the registry holds no model",
-    checks=[],
-    models={},
-    problems=[],
-)
-_NOT_READY: Final[dict[str, Any]] = {
-    "description": "not now; the body says why",
-    "model": ReadyBody,
-    "content": {"application/json": {"example": _NOTHING_YET.model_dump()}},
-}
 
 
 class StrictJsonRequest(Request):
@@ -137,7 +115,6 @@ class StrictJsonRoute(APIRoute):
 
 router = APIRouter(route_class=StrictJsonRoute, dependencies=[Depends(takes_json)])
 uploads = APIRouter(dependencies=[Depends(takes_json)])
-health = APIRouter()
 
 
 @router.post(
@@ -222,32 +199,6 @@ async def show_model(request: Request, name: Name) -> ModelBody:
 async def show_version(request: Request, name: Name, version: Version) -> ModelVersionDetailBody:
     """One version with its manifest (data, metrics, tensors with units, digests) and its card."""
     return version_body(snapshot_of(request), name, version)
-
-
-@health.get("/livez", tags=["health"], summary="Does the process answer?")
-async def live() -> LiveBody:
-    """Always true: who can read it knows."""
-    return LiveBody()
-
-
-@health.get(
-    "/readyz",
-    tags=["health"],
-    summary="Can predictions be answered?",
-    responses={503: _NOT_READY},
-)
-async def ready(request: Request, response: Response) -> ReadyBody:
-    """Ready while a model that passed all its checks answers; a broken newcomer is named here and does not end it."""
-    models, readiness = snapshot_of(request), readiness_of(request)
-    reason = readiness.reason()
-    response.status_code = 200 if reason is None else 503
-    checks = [
-        ModelCheckBody(name=check.name, version=check.version, ready=check.ready, reason=check.reason)
-        for check in readiness.checks()
-    ]
-    names = sorted({name for name, _ in models.models})
-    served = {name: models.versions(name) for name in names}
-    return ReadyBody(ready=reason is None, reason=reason, checks=checks, models=served, problems=list(models.problems))
 
 
 async def _of_upload(request: Request, answer: Callable[[Snapshot, Upload], Answer]) -> Answer:

@@ -13,7 +13,7 @@ import pydantic_core
 from starlette.datastructures import Headers, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
-from service.errors import FieldFault, InvalidRequestError, MalformedBodyError, UnsupportedMediaTypeError
+from service.errors import InvalidRequestError, MalformedBodyError, UnsupportedMediaTypeError
 
 IMAGE_TYPES: Final = ("image/png", "image/jpeg", "image/webp")
 FORM_TYPE: Final = "multipart/form-data"
@@ -68,9 +68,9 @@ def read_upload(headers: Headers, content: bytes) -> Upload:
             fields[name] = _json(name, value) if name in _JSON_FIELDS else value
         else:
             accepted = f"a file image, and each of {', '.join(sorted(_FIELDS))} at most once, as text"
-            raise InvalidRequestError([FieldFault("body", "another part, one twice, or a text for a file", accepted)])
+            raise InvalidRequestError.at("body", "another part, one twice, or a text for a file", accepted)
     if image is None:
-        raise InvalidRequestError([FieldFault("body.image", "nothing", "a file: PNG, JPEG or WebP")])
+        raise InvalidRequestError.at("body.image", "nothing", "a file: PNG, JPEG or WebP")
     return Upload(image, fields)
 
 
@@ -101,4 +101,4 @@ def _json(name: str, text: str) -> Any:
     try:
         return pydantic_core.from_json(text)
     except ValueError as error:
-        raise InvalidRequestError([FieldFault(f"body.{name}", "no JSON", "JSON, as in POST /v1/predict")]) from error
+        raise InvalidRequestError.at(f"body.{name}", "no JSON", "JSON, as in POST /v1/predict") from error

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
-from service.observability.metrics import render
+from service.observability.prometheus import render
 from service.registry.registry import Registry
 from service.settings import Settings
 from tests.fakes import BROKEN, fake_models, load_fake, publish_fake

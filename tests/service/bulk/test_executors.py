@@ -20,7 +20,7 @@ def power(exponent: int) -> Callable[[int], int]:
 
     def work(piece: int) -> int:
         if piece == 13:
-            raise InvalidRequestError([FieldFault("piece", "13", "any other number")])
+            raise InvalidRequestError.at("piece", "13", "any other number")
         if piece == 99:
             os.kill(os.getpid(), signal.SIGKILL)
         return int(piece**exponent)

@@ -16,7 +16,7 @@ from service.bulk.parquet_file import PushFile
 from service.bulk.predict_file import predict_file
 from service.cli.main import main
 from service.client import Client
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from service.registry.registry import Registry
 from tests.clusters import LosesNode, TwoNodes
 

@@ -8,8 +8,7 @@ import pytest
 
 from service.client import calls
 from service.client.errors import ProblemError, UnreadableAnswerError
-from service.schemas.contexts import ContextBody
-from service.schemas.predictions import VisualContextBody
+from service.schemas.contexts import ContextBody, VisualContextBody
 
 PUSHERS = np.array([[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]])
 SEEN = VisualContextBody(visual="AAAA", thumbnail_png="AAAA", flags=[])

@@ -9,8 +9,10 @@ import pytest
 
 from service.errors import ContextKindError, ModelNotReadyError, UnknownModelError
 from service.inference.loaded_models import THOROUGH_EVERY, LoadedModels
-from service.model.manifest import ModelReference
-from service.pushing.contexts import ContextKind, ObjectContext, Pose, VisualContext
+from service.model.reference import ModelReference
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.poses import Pose
 from service.registry.registry import Registry
 from tests.fakes import BROKEN, LYING, STD, FakePredictor, fake_models, load_fake, publish_fake
 

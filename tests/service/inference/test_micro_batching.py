@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
-from service.api.v1.queries import Answer, ask_one, predict_one
+from service.api.v1.queries import ask_one, predict_one
 from service.errors import ContextKindError, PredictionError
-from service.inference.loaded_models import Snapshot
 from service.inference.micro_batching import MOST_PUSHES, Turns
+from service.inference.query import Answer
+from service.inference.snapshot import Snapshot
+from service.model.tensors import ContextKind
 from service.observability.timings import Parts, listen
-from service.pushing.contexts import ContextKind
 from service.schemas.pushes import PredictRequest
 from tests.fakes import CHECKED_PUSH, FAILING, FakePredictor, fake_models, publish_fake
 

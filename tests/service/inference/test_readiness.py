@@ -13,7 +13,7 @@ from service.app import create_app
 from service.errors import PredictionError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
-from service.pushing.contexts import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.registry.registry import Registry
 from service.settings import Settings
 from tests.fakes import FakePredictor, publish_fake

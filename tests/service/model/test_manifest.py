@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import BrokenModelError, InvalidRequestError
-from service.model.manifest import CARD_FILE, MODEL_FILE, FileDigest, Manifest, ModelReference
-from service.pushing.contexts import ContextKind
+from service.model.manifest import CARD_FILE, MODEL_FILE, FileDigest, Manifest
+from service.model.reference import ModelReference
+from service.model.tensors import ContextKind
 from tests.fakes import draft_manifest
 
 DIGEST = FileDigest.of(b"content")

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from service.errors import BrokenModelError, PredictionError
-from service.model.manifest import ModelReference
 from service.model.predictor import OnnxPredictor, Predictor
-from service.pushing.contexts import ContextKind, ObjectContext
+from service.model.reference import ModelReference
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry
 
 

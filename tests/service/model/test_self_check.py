@@ -6,7 +6,7 @@ import pytest
 
 from service.errors import BrokenModelError
 from service.model.self_check import check_itself
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from tests.fakes import LYING, FakePredictor, draft_manifest
 
 

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from service.observability.metrics import Distribution, Reading, Readings, RequestMetrics, exposition, render
+from service.observability.metrics import RequestMetrics
+from service.observability.prometheus import Distribution, Reading, Readings, exposition, render
 
 LINE = {
     "route": "/v1/predict",

@@ -13,7 +13,7 @@ from fastapi.testclient import TestClient
 
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
-from service.observability.telemetry import RequestLog, configure_logging
+from service.observability.logs import RequestLog, configure_logging
 from service.registry.registry import Registry
 from service.settings import Settings
 

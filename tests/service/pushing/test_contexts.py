@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import InvalidRequestError
-from service.pushing.contexts import INDICATOR_LENGTH, ContextKind, ObjectContext, Pose, VisualContext, wrap_angle
+from service.model.tensors import ContextKind
+from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext, VisualContext
+from service.pushing.poses import Pose, wrap_angle
 
 sides = st.tuples(st.sampled_from("134"), st.sampled_from("abc")) | st.tuples(st.just("2"), st.sampled_from("abcBC"))
 descriptors = st.lists(sides, min_size=4, max_size=4).map(

@@ -6,10 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from service.inference.loaded_models import LoadedModel
+from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
-from service.pushing.contexts import BITS_PER_SIDE, SIDES, ContextKind, FloatArray, IndexArray
-from service.pushing.gates import Verdict, judge
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.contexts import BITS_PER_SIDE, SIDES
+from service.pushing.gates import Verdict
+from service.registry.promotion import judge
 from tests.fakes import draft_manifest
 
 

@@ -15,6 +15,7 @@ from skimage.transform import resize
 
 from service.errors import InvalidImageError
 from service.pushing.contexts import VISUAL_SIZE, VisualContext
+from service.pushing.image_quality import quality_flags, thumbnail_png
 from service.pushing.images import (
     BACKGROUND_LEVEL,
     BODY_LEVEL,
@@ -23,8 +24,6 @@ from service.pushing.images import (
     IMAGE_CONVENTION,
     GreyImage,
     decode,
-    quality_flags,
-    thumbnail_png,
     visual_context,
 )
 from tests.attacks.images import png, png_chunk

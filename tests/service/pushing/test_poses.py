@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.pushing.contexts import wrap_angle
-from service.pushing.poses import into_object_frame, into_world_frame, wrap_angles
+from service.pushing.poses import into_object_frame, into_world_frame, wrap_angle, wrap_angles
 
 metres = st.floats(-1e3, 1e3)
 angles = st.floats(-10.0, 10.0)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import BrokenModelError, PublishError, RegistryError, UnknownModelError
-from service.model.manifest import ModelReference
+from service.model.reference import ModelReference
 from service.registry.registry import Registry
 from service.registry.verification import MAX_MANIFEST_BYTES
 from tests.fakes import draft_manifest, publish_fake

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
-from service.model.manifest import ModelReference
+from service.model.reference import ModelReference
 from service.registry.location import open_registry
 from service.registry.registry import NOWHERE, Registry
 from tests.buckets import BUCKET, Server, running_server

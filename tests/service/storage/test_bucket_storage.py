@@ -13,7 +13,7 @@ from obstore.store import S3Store
 
 from service.errors import BrokenModelError, PublishError, RegistryError
 from service.inference.loaded_models import LoadedModels
-from service.model.manifest import ModelReference
+from service.model.reference import ModelReference
 from service.registry.location import open_registry
 from service.registry.registry import Registry
 from tests.buckets import BUCKET, Server, running_server

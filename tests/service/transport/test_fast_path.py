@@ -17,8 +17,9 @@ from starlette.responses import PlainTextResponse
 
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
+from service.observability.logs import RequestLog
 from service.observability.metrics import RequestMetrics
-from service.observability.telemetry import RequestLog, RequestTelemetry
+from service.observability.telemetry import RequestTelemetry
 from service.registry.registry import Registry
 from service.schemas.contexts import IMAGE_EXAMPLE
 from service.settings import Settings

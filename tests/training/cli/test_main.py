@@ -11,24 +11,18 @@ import pytest
 from click.testing import CliRunner, Result
 
 import service
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from service.pushing.images import IMAGE_CONVENTION
 from service.registry.registry import Registry
 from training.cli.main import main
 from training.fitting.evaluation import evaluate
 from training.fitting.recipe import Recipe
+from training.fitting.run_folder import WEIGHTS_FILE, load_run
 from training.fitting.samples import Samples
-from training.fitting.training_loop import WEIGHTS_FILE, load_run
 from training.networks.methods import FCN, METHODS
+from training.omnipush.declaration import DATASET_FILE, declare_dataset
 from training.omnipush.published import different_objects, different_surfaces, omnipush_descriptors
-from training.omnipush.pushes import (
-    DATASET_FILE,
-    OUTCOME_SUFFIX,
-    PUSHER_SUFFIX,
-    declare_dataset,
-    read_folder,
-    write_object,
-)
+from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, read_folder, write_object
 from training.simulation.dataset import SimulationPlan
 from training.simulation.drawing import write_views
 

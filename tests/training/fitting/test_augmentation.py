@@ -9,8 +9,10 @@ import pytest
 import torch
 from mujoco import rollout
 
-from service.pushing.contexts import PUSH_LENGTH_M, ContextKind, ObjectContext
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
 from service.pushing.images import GreyImage, visual_context
+from service.pushing.poses import PUSH_LENGTH_M
 from training.fitting.augmentation import FURTHEST_START_M, REACH_M, augmented, in_symmetric_frames, missing_pushers
 from training.fitting.samples import Samples
 from training.omnipush.published import published_normalisation

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from service.pushing.contexts import ContextKind, FloatArray
+from service.model.tensors import ContextKind, FloatArray
 from training.fitting.evaluation import DISTANCE_MM_PER_RMSE, Evaluation, evaluate, measure
 from training.fitting.samples import Samples
 from training.networks.methods import METHODS

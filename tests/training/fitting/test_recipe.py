@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from service.errors import DataError
-from service.model.manifest import is_name
+from service.model.reference import is_name
 from training.fitting.recipe import Recipe, parse_recipe, parse_recipe_record, read_recipe, recipe_names
 from training.networks.methods import METHODS
 from training.omnipush.published import different_objects

@@ -8,10 +8,12 @@ import pytest
 import torch
 
 from service.errors import DataError
-from service.pushing.contexts import ContextKind, VisualContext
+from service.model.tensors import ContextKind
+from service.pushing.contexts import VisualContext
 from training.fitting.samples import Samples, TrainingData, contexts, read_pushes, read_training_data
+from training.omnipush.declaration import declare_dataset
 from training.omnipush.published import Split, different_objects, published_normalisation
-from training.omnipush.pushes import Pushes, declare_dataset, read_folder, write_object
+from training.omnipush.pushes import Pushes, read_folder, write_object
 from training.simulation.drawing import write_views
 
 

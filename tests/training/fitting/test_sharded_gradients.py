@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from training.fitting.losses import context_regulariser, gaussian_nll
 from training.fitting.recipe import Recipe
 from training.fitting.samples import Samples

@@ -14,11 +14,10 @@ import torch
 
 import service
 from service.errors import DataError
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from training.fitting.evaluation import evaluate
 from training.fitting.recipe import Recipe
-from training.fitting.samples import Samples, TrainingData
-from training.fitting.training_loop import (
+from training.fitting.run_folder import (
     CHECKPOINT_FILE,
     CONFIG_FILE,
     COST_FILE,
@@ -26,13 +25,10 @@ from training.fitting.training_loop import (
     WEIGHTS_FILE,
     Network,
     Spent,
-    cooling,
-    fit,
-    learning_rate,
     load_run,
-    product_dtype,
-    train_epoch,
 )
+from training.fitting.samples import Samples, TrainingData
+from training.fitting.training_loop import cooling, fit, learning_rate, product_dtype, train_epoch
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 from training.omnipush.published import different_objects

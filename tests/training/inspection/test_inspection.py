@@ -10,10 +10,10 @@ from service.errors import DataError
 from tests.training.copies import SOURCE, write_surface, write_views
 from training.inspection.findings import Severity
 from training.inspection.inspection import Inspection, inspect
+from training.omnipush.declaration import DATASET_FILE, UNKNOWN_SOURCE
 from training.omnipush.files import Variant
 from training.omnipush.layout import SurfaceKind
 from training.omnipush.published import different_surfaces, omnipush_descriptors
-from training.omnipush.pushes import DATASET_FILE, UNKNOWN_SOURCE
 
 TEN = different_surfaces().test
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from training.networks.methods import METHODS, ContextDistance, ContextUse
 
 NONE, INDICATOR, VISUAL = ContextKind.NONE, ContextKind.INDICATOR, ContextKind.VISUAL

@@ -9,8 +9,9 @@ import torch
 from tests.training import by_hand
 from tests.training.by_hand import array_of
 from training.fitting.evaluation import evaluate
+from training.fitting.neural_process_step import divide, loss_terms, predict_targets
 from training.fitting.samples import Samples
-from training.networks.neural_process import NeuralProcess, Points, divide, loss_terms, predict_targets
+from training.networks.neural_process import NeuralProcess, Points
 
 # query, key, value, mixture (128 + 1) 128 each, and scale and shift of the norm
 ATTENTION = 4 * 129 * 128 + 2 * 128

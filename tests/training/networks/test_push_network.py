@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from tests.training import by_hand
 from tests.training.by_hand import array_of
 from training.networks.angles import circular

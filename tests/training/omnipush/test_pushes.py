@@ -14,17 +14,9 @@ import numpy.typing as npt
 import pytest
 
 from service.errors import DataError
+from training.omnipush.declaration import DATASET_FILE, UNKNOWN_SOURCE, declare_dataset
 from training.omnipush.files import Variant
-from training.omnipush.pushes import (
-    DATASET_FILE,
-    OUTCOME_SUFFIX,
-    PUSHER_SUFFIX,
-    UNKNOWN_SOURCE,
-    declare_dataset,
-    has_object,
-    read_folder,
-    write_object,
-)
+from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, has_object, read_folder, write_object
 
 Array = npt.NDArray[np.float64]
 

@@ -7,10 +7,10 @@ import pytest
 
 from service.errors import DataError
 from tests.training.copies import SOURCE, plausible_pushes, write_surface
+from training.omnipush.declaration import DATASET_FILE, UNKNOWN_SOURCE
 from training.omnipush.files import Variant, list_folder
 from training.omnipush.published import omnipush_descriptors
-from training.omnipush.pushes import DATASET_FILE, UNKNOWN_SOURCE, read_folder, write_object
-from training.omnipush.variants import export_variants
+from training.omnipush.pushes import export_variants, read_folder, write_object
 from training.simulation.dataset import SimulationPlan, simulate_dataset
 
 FLOAT32_STEP = 2.0**-23  # relative distance of neighbouring float32 numbers

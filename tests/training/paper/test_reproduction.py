@@ -8,11 +8,11 @@ import pytest
 
 from service.bulk.executors import LocalCores, Workforce
 from service.errors import DataError
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from tests.clusters import LosesNode, TwoNodes
 from training.fitting.evaluation import evaluate
+from training.fitting.run_folder import CHECKPOINT_FILE, COST_FILE, METRICS_FILE, WEIGHTS_FILE, load_run
 from training.fitting.samples import TrainingData
-from training.fitting.training_loop import CHECKPOINT_FILE, COST_FILE, METRICS_FILE, WEIGHTS_FILE, load_run
 from training.omnipush.published import different_objects
 from training.omnipush.pushes import Pushes
 from training.paper.experiments import Cell, Experiment, experiments

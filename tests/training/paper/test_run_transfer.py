@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from training.fitting.training_loop import CHECKPOINT_FILE
+from training.fitting.run_folder import CHECKPOINT_FILE
 from training.paper.run_transfer import changed, pack, unpack
 
 

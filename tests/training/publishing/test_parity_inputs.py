@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from service.pushing.contexts import ContextKind, ObjectContext
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
 from training.publishing.parity_inputs import extreme_batch, feed, probe_batch
 
 

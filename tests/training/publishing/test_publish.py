@@ -15,27 +15,26 @@ from onnx import TensorProto, numpy_helper
 import training
 from service.errors import CazslError, DataError, PublishError
 from service.inference.loaded_models import LoadedModels
-from service.model.manifest import MODEL_FILE, ModelReference
+from service.model.manifest import MODEL_FILE
 from service.model.predictor import OnnxPredictor
-from service.pushing.contexts import ContextKind, FloatArray, ObjectContext, Pose, VisualContext
+from service.model.reference import ModelReference
+from service.model.tensors import ContextKind, FloatArray
+from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.poses import Pose
 from service.registry.registry import Registry
 from training.fitting.evaluation import evaluate
 from training.fitting.recipe import Recipe
+from training.fitting.run_folder import load_run
 from training.fitting.samples import Samples, TrainingData
-from training.fitting.training_loop import fit, load_run
+from training.fitting.training_loop import fit
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 from training.omnipush.published import published_normalisation
 from training.omnipush.pushes import Pushes, read_folder
+from training.publishing.onnx_export import export_onnx, strip_origin, wrap_last
+from training.publishing.parity import PARITY_TOLERANCE, check_parity
 from training.publishing.parity_inputs import extreme_batch, probe_batch
-from training.publishing.publish import (
-    PARITY_TOLERANCE,
-    check_parity,
-    export_onnx,
-    publish,
-    strip_origin,
-    wrap_last,
-)
+from training.publishing.publish import publish
 
 KINDS = [ContextKind.INDICATOR, ContextKind.NONE, ContextKind.VISUAL]
 # float32 in metres and radians: what another order of sums may leave

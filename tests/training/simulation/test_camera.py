@@ -7,7 +7,8 @@ import numpy.typing as npt
 import pytest
 
 from service.pushing.contexts import ObjectContext
-from service.pushing.images import FIELD_OF_VIEW_M, GreyImage, quality_flags, visual_context
+from service.pushing.image_quality import quality_flags
+from service.pushing.images import FIELD_OF_VIEW_M, GreyImage, visual_context
 from training.simulation import camera
 from training.simulation.camera import camera_view
 from training.simulation.drawing import photograph, top_down_view

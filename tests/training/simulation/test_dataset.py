@@ -14,10 +14,12 @@ import pytest
 from mujoco import rollout
 
 from service.errors import DataError
-from service.pushing.contexts import PUSH_LENGTH_M, ObjectContext
+from service.pushing.contexts import ObjectContext
+from service.pushing.poses import PUSH_LENGTH_M
 from training.inspection.statistics import QUANTITIES, likeness, missed
+from training.omnipush.declaration import DATASET_FILE
 from training.omnipush.published import omnipush_descriptors, published_normalisation
-from training.omnipush.pushes import DATASET_FILE, OUTCOME_SUFFIX, PUSHER_SUFFIX, Pushes, read_folder
+from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, Pushes, read_folder
 from training.simulation.dataset import (
     AIM_RADIUS_M,
     PUSH_DURATION_S,

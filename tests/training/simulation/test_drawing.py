@@ -15,17 +15,11 @@ from PIL import Image
 
 from service.errors import DataError
 from service.pushing.contexts import ObjectContext
-from service.pushing.images import FIELD_OF_VIEW_M, IMAGE_CONVENTION, GreyImage, decode, quality_flags, visual_context
+from service.pushing.image_quality import quality_flags
+from service.pushing.images import FIELD_OF_VIEW_M, IMAGE_CONVENTION, GreyImage, decode, visual_context
 from training.omnipush.published import omnipush_descriptors
-from training.simulation.drawing import (
-    PIXEL_M,
-    UNKNOWN_CONVENTION,
-    convention_of,
-    read_views,
-    source_of,
-    top_down_view,
-    write_views,
-)
+from training.omnipush.views import UNKNOWN_CONVENTION, convention_of, read_views, source_of
+from training.simulation.drawing import PIXEL_M, top_down_view, write_views
 from training.simulation.solids import RECTANGLE_DEPTH_M, WEIGHT_RADIUS_M, solid
 
 BACKGROUND, BODY, LIGHT_WEIGHT, HEAVY_WEIGHT = 0, 128, 179, 255  # of 255: 0, 0.5, 0.7, 1

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
-from service.pushing.contexts import ContextKind, ObjectContext
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry
 from service.settings import Settings
 from tests.fakes import fake_models, load_fake, publish_fake

@@ -17,7 +17,8 @@ from hypothesis import strategies as st
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
-from service.pushing.contexts import ContextKind, ObjectContext
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry
 from service.schemas.predictions import BatchResponse, PredictResponse
 from service.settings import Settings

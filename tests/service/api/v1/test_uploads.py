@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from service.app import create_app
-from service.pushing.contexts import ContextKind
+from service.model.tensors import ContextKind
 from service.pushing.images import GreyImage, visual_context
 from service.settings import Settings
 from tests.fakes import fake_models, publish_fake

@@ -1,0 +1,41 @@
+"""Exception handlers of the framework: every failure as a problem."""
+
+from http import HTTPStatus
+from typing import Final, cast
+
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import Response
+from starlette.exceptions import HTTPException
+
+from service.errors import CazslError
+from service.transport.problems import _render, invalid_request, problem_response
+
+_HTTP_CODES: Final = {
+    404: ("no_such_route", "There is no such route"),
+    405: ("method_not_allowed", "The route does not take this method"),
+}
+
+
+def install_problem_handlers(app: FastAPI) -> None:
+    """Answer every failure of the app as a problem."""
+    app.add_exception_handler(CazslError, _on_error)
+    app.add_exception_handler(RequestValidationError, _on_validation)
+    app.add_exception_handler(HTTPException, _on_http)
+
+
+async def _on_error(request: Request, error: Exception) -> Response:
+    return problem_response(request.scope, cast(CazslError, error))
+
+
+async def _on_validation(request: Request, error: Exception) -> Response:
+    return problem_response(request.scope, invalid_request(cast(RequestValidationError, error).errors()))
+
+
+async def _on_http(request: Request, raised: Exception) -> Response:
+    """What the framework refuses by itself: routes, methods, bodies that grew over the limit."""
+    error = cast(HTTPException, raised)
+    phrase = HTTPStatus(error.status_code).phrase
+    code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
+    detail = "see /docs for the routes and their methods"
+    return _render(request.scope, error.status_code, code, title, detail, (), error.headers)

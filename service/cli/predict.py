@@ -1,0 +1,88 @@
+"""``cazsl predict``: one push, or a file of millions, without a service."""
+
+import json
+from pathlib import Path
+from typing import Final
+
+import click
+import pydantic
+
+from service.api.v1.queries import predict_with
+from service.cli.models import load
+from service.cli.predict_parquet import predict_parquet
+from service.cli.terminal import mend, registry_option
+from service.inference.snapshot import DEFAULT_MODELS
+from service.model.tensors import ContextKind
+from service.registry.location import open_registry
+from service.schemas.contexts import ContextBody
+from service.schemas.pushes import PredictRequest, PusherBody
+
+POSE_PARTS: Final = 3
+
+
+@click.command()
+@click.argument("push", nargs=-1, metavar="[DESCRIPTOR] X_M Y_M ANGLE_RAD")
+@click.option(
+    "--parquet",
+    "files",
+    nargs=2,
+    type=click.Path(path_type=Path),
+    metavar="IN OUT",
+    help="Predict every row of the Parquet file IN into the new file OUT.",
+)
+@click.option(
+    "--jobs",
+    type=click.IntRange(1),
+    help="With --parquet: threads of this process. [default: one per processor]",
+)
+@click.option(
+    "--ray", "ray_address", metavar="ADDRESS", help="With --parquet: on this Ray cluster: HOST:PORT, or auto."
+)
+@click.option("--model", "reference", help="NAME, NAME@ALIAS or NAME@VERSION. [default: the champion for this context]")
+@registry_option
+@mend
+def predict(
+    push: tuple[str, ...],
+    files: tuple[Path, Path] | None,
+    jobs: int | None,
+    ray_address: str | None,
+    reference: str | None,
+    registry: str,
+) -> None:
+    """Predict one push, or a file of millions, without a service.
+
+    \b
+    cazsl predict 1a2b3c4a -- -0.075 0 0
+    cazsl predict --parquet pushes.parquet predictions.parquet
+
+    One push prints what POST /v1/predict would answer. DESCRIPTOR is four sides, each a shape digit and a weight
+    letter, such as 1a2b3c4a; without it the model knows nothing of the object. The pusher's pose is in the object's
+    frame: put -- before it when a number is negative.
+
+    A file (extra 'parquet') has columns x_m, y_m and angle_rad, and of the object descriptor (text), visual (1,024
+    bytes) or nothing; other columns are kept. OUT has the same rows in the same order with mean_x_m, mean_y_m,
+    mean_angle_rad, std_x_m, std_y_m and std_angle_rad, and names model and version in its metadata. It appears when it
+    is whole, is the same to the bit for any number of jobs, and never takes the place of another file.
+    """
+    if files is not None:
+        if push or (jobs is not None and ray_address is not None):
+            raise click.UsageError("--parquet takes its pushes from IN, and either --jobs or --ray")
+        predict_parquet(*files, reference, open_registry(registry), jobs, ray_address)
+        return
+    if jobs is not None or ray_address is not None:
+        raise click.UsageError("--jobs and --ray are for --parquet IN OUT")
+    if len(push) not in (POSE_PARTS, POSE_PARTS + 1):
+        raise click.UsageError(
+            f"received {len(push)} words; accepted is [DESCRIPTOR] X_M Y_M ANGLE_RAD, or --parquet IN OUT"
+        )
+    descriptor = None if len(push) == POSE_PARTS else push[0]
+    x_m, y_m, angle_rad = (click.FLOAT(word) for word in push[-POSE_PARTS:])
+    context = None if descriptor is None else ContextBody(descriptor=descriptor)
+    try:
+        request = PredictRequest(pusher=PusherBody(x=x_m, y=y_m, angle=angle_rad), context=context, model=reference)
+    except pydantic.ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
+    kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
+    answer = predict_with(load(open_registry(registry), reference or DEFAULT_MODELS[kind]), request)
+    click.echo(json.dumps(json.loads(answer.content), indent=2))

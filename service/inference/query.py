@@ -1,0 +1,113 @@
+"""A query: pushes and contexts that one model is asked about, and the bytes of its answer.
+
+Every question to a model passes through ``predict``, whichever protocol asks it.
+"""
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from service.errors import ContextKindError
+from service.model.loaded_model import LoadedModel
+from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.observability.timings import record_timing
+from service.pushing.poses import wrap_angles
+
+FIRST_CONTEXT: Final = np.zeros(1, dtype=np.int64)
+_LARGEST_ANGLE: Final = np.nextafter(np.float32(math.pi), np.float32(0.0))  # float32's pi is beyond pi
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The bytes of an answer, its headers, and its part of the request's log line."""
+
+    content: bytes
+    notes: Mapping[str, str | int]
+    headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
+
+    def head(self) -> tuple[tuple[bytes, bytes], ...]:
+        """Return all headers, in the framework's order."""
+        return (*self.headers, (b"content-length", b"%d" % len(self.content)))
+
+
+@dataclass(frozen=True, slots=True)
+class ContextBatch:
+    """Distinct contexts of one kind, and the index of each push's context.
+
+    Attributes:
+        kind: of every context in the batch.
+        tensor: (g, ...) float32, the distinct contexts; None for kind ``none``.
+        index: (n,) int64, the context of each push; None for kind ``none``.
+        where: the field of the request that gave them, for errors.
+    """
+
+    kind: ContextKind
+    tensor: FloatArray | None
+    index: IndexArray | None
+    where: str
+
+
+def predict(model: LoadedModel, pushers: FloatArray, contexts: ContextBatch) -> tuple[FloatArray, FloatArray]:
+    """Return mean and std (n, 3), in m, m, rad in the object frame, of pushes (n, 3); angles in (-pi, pi].
+
+    Raises:
+        ContextKindError: the contexts are not of the kind that the model takes.
+        PredictionError: the runtime failed.
+    """
+    manifest = model.manifest
+    if contexts.kind is not manifest.context_kind:
+        accepted = f"a context of kind {manifest.context_kind} for {manifest.name}"
+        raise ContextKindError.at(contexts.where, f"kind {contexts.kind}", accepted)
+    began = time.perf_counter()
+    mean, std = model.predictor.predict(pushers, contexts.tensor, contexts.index)
+    record_timing("inference", time.perf_counter() - began)
+    angles = mean[:, 2]
+    inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)
+    if not inside:
+        mean = mean.copy()
+        mean[:, 2] = np.clip(wrap_angles(angles.astype(np.float64)), -_LARGEST_ANGLE, _LARGEST_ANGLE)
+    return mean, std
+
+
+def _all_inside(angles: FloatArray) -> bool:
+    return bool(angles.max() <= _LARGEST_ANGLE and angles.min() >= -_LARGEST_ANGLE)
+
+
+@dataclass(frozen=True, slots=True)
+class Query(ABC):
+    """Pushes that one model is asked about; each protocol encodes the answer in its own way."""
+
+    model: LoadedModel
+    pushers: FloatArray  # (n, 3), in the object frame
+    contexts: ContextBatch
+
+    def answer(self) -> Answer:
+        """Predict and encode.
+
+        Raises:
+            ContextKindError, PredictionError: see ``predict``.
+        """
+        return self.encode(*self.predict())
+
+    def predict(self) -> tuple[FloatArray, FloatArray]:
+        """Return mean and std (n, 3): the part that a thread can do while the event loop reads and writes.
+
+        Raises:
+            ContextKindError, PredictionError: see ``predict``.
+        """
+        return predict(self.model, self.pushers, self.contexts)
+
+    def notes(self) -> dict[str, str | int]:
+        """Return the query's part of the log line: model, version, number of pushes."""
+        manifest = self.model.manifest
+        return {"model": manifest.name, "version": manifest.version, "pushes": len(self.pushers)}
+
+    @abstractmethod
+    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """Encode mean and std (n, 3) as an answer."""
+        ...

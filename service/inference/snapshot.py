@@ -1,0 +1,71 @@
+"""Snapshot: the models that are served at one instant."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from service.errors import (
+    ModelNotReadyError,
+    UnknownModelError,
+)
+from service.model.loaded_model import LoadedModel
+from service.model.reference import DEFAULT_ALIAS, ModelReference
+from service.model.tensors import ContextKind
+
+DEFAULT_MODELS: Final[Mapping[ContextKind, str]] = {kind: f"push-{kind}" for kind in ContextKind}
+_DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, name in DEFAULT_MODELS.items()}
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What is served at one instant."""
+
+    models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
+    aliases: Mapping[tuple[str, str], int] = field(default_factory=dict)
+    problems: tuple[str, ...] = ("the registry was not read yet",)
+
+    def find(self, reference: ModelReference) -> LoadedModel:
+        """The model that a reference means in this snapshot.
+
+        Raises:
+            UnknownModelError: it is not served.
+            ModelNotReadyError: nothing at all is served yet.
+        """
+        version = reference.version
+        if reference.alias is not None:
+            version = self.aliases.get((reference.name, reference.alias))
+        model = None if version is None else self.models.get((reference.name, version))
+        if model is not None:
+            return model
+        if not self.models:
+            raise ModelNotReadyError(
+                f"no model is loaded: {self.problems[0] if self.problems else 'none is published'}"
+            )
+        served = ", ".join(f"{name}@{number}" for name, number in sorted(self.models)[:10])
+        raise UnknownModelError(f"model: received a reference that is not served; accepted is one of: {served}")
+
+    def find_default(self, kind: ContextKind) -> LoadedModel:
+        """The champion of the default model for this kind of context.
+
+        Raises:
+            UnknownModelError, ModelNotReadyError: as ``find``.
+        """
+        return self.find(_DEFAULTS[kind])
+
+    def versions(self, name: str) -> list[int]:
+        """The served versions of a model, oldest first.
+
+        Raises:
+            UnknownModelError: none is served.
+        """
+        numbers = sorted(number for model, number in self.models if model == name)
+        if not numbers:
+            raise UnknownModelError(f"name: received a model that is not served; accepted is one of: {self._names()}")
+        return numbers
+
+    def aliases_of(self, name: str) -> dict[str, int]:
+        """The aliases of a model and what they mean here."""
+        return {alias: version for (model, alias), version in self.aliases.items() if model == name}
+
+    def _names(self) -> str:
+        return ", ".join(sorted({name for name, _ in self.models})) or "none"

@@ -1,0 +1,25 @@
+"""Planar pushing as the domain of a registry: tensors and gates of push models."""
+
+from collections.abc import Iterable
+
+from service.model.domain import Verdict
+from service.model.loaded_model import LoadedModel
+from service.model.tensors import ContextKind, Tensor
+from service.pushing.gates import physics_gates
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+
+
+class PushDomain:
+    """See ``service.model.domain.Domain``."""
+
+    def inputs(self, kind: ContextKind) -> tuple[Tensor, ...]:
+        """See ``Domain.inputs``."""
+        return expected_inputs(kind)
+
+    def outputs(self) -> tuple[Tensor, ...]:
+        """See ``Domain.outputs``."""
+        return OUTPUTS
+
+    def gates(self, model: LoadedModel) -> Iterable[Verdict]:
+        """See ``Domain.gates``."""
+        return physics_gates(model)

@@ -1,0 +1,77 @@
+"""Quality of a visual context: blank, clipped, off centre, several objects; and its thumbnail."""
+
+import io
+from collections.abc import Iterator
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from service.pushing.contexts import VISUAL_SIZE, VisualContext
+
+_THUMBNAIL_SCALE: Final = 8
+_LEAST_CONTRAST: Final = 0.15  # between the mean levels of object and background
+_OFF_CENTRE_CELLS: Final = 2.5  # 12 mm; an object's middle lies up to 6 mm from its core's centre
+_SECOND_OBJECT_SHARE: Final = 0.05  # of the largest object's area
+
+
+class QualityFlag(StrEnum):
+    """What looks wrong in a picture; the prediction made from it may be worth little."""
+
+    BLANK = "blank"  # nothing stands out
+    CLIPPED = "clipped"  # the object touches the border
+    OFF_CENTRE = "off_centre"  # the object's middle is not the picture's
+    SEVERAL_OBJECTS = "several_objects"
+
+
+def quality_flags(context: VisualContext) -> tuple[QualityFlag, ...]:
+    """What is odd about a picture, judged on what the model sees of it."""
+    grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
+    bright = grey > _threshold(grey)
+    if grey.min() == grey.max() or grey[bright].mean() - grey[~bright].mean() < _LEAST_CONTRAST * 255:
+        return (QualityFlag.BLANK,)
+    areas = sorted(_connected(bright), key=len, reverse=True)
+    cells = areas[0]
+    lowest, highest = cells.min(axis=0), cells.max(axis=0)
+    offset = np.abs((lowest + highest) / 2 - (VISUAL_SIZE - 1) / 2)
+    found = {
+        QualityFlag.CLIPPED: lowest.min() == 0 or highest.max() == VISUAL_SIZE - 1,
+        QualityFlag.OFF_CENTRE: offset.max() > _OFF_CENTRE_CELLS,
+        QualityFlag.SEVERAL_OBJECTS: len(areas) > 1 and len(areas[1]) > _SECOND_OBJECT_SHARE * len(cells),
+    }
+    return tuple(flag for flag, raised in found.items() if raised)
+
+
+def thumbnail_png(context: VisualContext) -> bytes:
+    """What the model sees as a PNG of 256 x 256, every level a block of 8 x 8 pixels."""
+    grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
+    blocks = grey.repeat(_THUMBNAIL_SCALE, axis=0).repeat(_THUMBNAIL_SCALE, axis=1)
+    buffer = io.BytesIO()
+    # from an array, which Pillow only looks at: for pixels of its own it would cut a kept block to this size
+    Image.fromarray(blocks).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def _threshold(grey: npt.NDArray[np.uint8]) -> int:
+    """The level that parts the darker from the brighter with the least spread within both (Otsu 1979)."""
+    counts = np.bincount(grey.ravel(), minlength=256).astype(np.float64)
+    below, sums = counts.cumsum(), (counts * np.arange(256)).cumsum()
+    above = below[-1] - below
+    spread = (sums[-1] * below - below[-1] * sums) ** 2 / np.maximum(below * above, 1.0)
+    return int(spread.argmax())
+
+
+def _connected(bright: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int64]]:
+    """The patches of cells that touch side to side, each (cells, 2)."""
+    left = {(int(row), int(column)) for row, column in np.argwhere(bright)}
+    while left:
+        patch, edge = [], [left.pop()]
+        while edge:
+            row, column = edge.pop()
+            patch.append((row, column))
+            around = {(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)} & left
+            left -= around
+            edge += around
+        yield np.array(patch)

@@ -1,0 +1,20 @@
+"""The ONNX interface of a push model: the tensors that its graph takes and gives."""
+
+from typing import Final
+
+from service.model.tensors import ContextKind, Tensor
+from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
+
+_POSE_UNITS: Final = ("m", "m", "rad")
+_PUSHER: Final = Tensor("pusher", "float32", ("n", 3), _POSE_UNITS)
+_INDICATOR: Final = Tensor("context", "float32", ("g", INDICATOR_LENGTH), ("1",))
+_VISUAL: Final = Tensor("context", "float32", ("g", 1, VISUAL_SIZE, VISUAL_SIZE), ("1",))
+_CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
+OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
+
+
+def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
+    """The inputs that a graph of this context kind must have, in order."""
+    if kind is ContextKind.NONE:
+        return (_PUSHER,)
+    return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)
