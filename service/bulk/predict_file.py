@@ -8,9 +8,9 @@ import pyarrow as pa
 
 from service.bulk.chunk import ModelParts, predict_chunk
 from service.bulk.executors import Workforce
-from service.bulk.new_file import new_file
 from service.bulk.parquet_file import PredictionFile, PushFile, chunk_of
 from service.model.tensors import FloatArray
+from service.storage.disk import new_file
 
 Piece = tuple[int, pa.RecordBatch]  # the number of its first row, and the columns that the model wants
 

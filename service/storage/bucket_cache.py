@@ -8,7 +8,6 @@ cache that cannot be written costs speed and nothing else; one that holds wrong 
 import contextlib
 import json
 import os
-import secrets
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import Final
 from service.errors import BrokenModelError
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
 from service.model.reference import is_name
-from service.storage.disk import discard, write_synced
+from service.storage.disk import replace_whole
 
 WHOLE: Final = frozenset({MANIFEST_FILE, MODEL_FILE, CARD_FILE})
 MODELS: Final = "models.json"
@@ -106,13 +105,8 @@ class Cache:
 
     def _write(self, path: Path, content: bytes) -> None:
         """Replace a file whole; a disk that refuses costs the next reader a download."""
-        part = path.with_name(f".{secrets.token_hex(8)}")
-        try:
+        with contextlib.suppress(OSError):
             if path.exists() and path.read_bytes() == content:
                 return
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            write_synced(part, content)
-            part.replace(path)
-        except OSError:
-            with contextlib.suppress(OSError):
-                discard(part)
+            replace_whole(path, content)
