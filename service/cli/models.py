@@ -19,7 +19,7 @@ from service.registry.doctor import examine
 from service.registry.loading import load_version
 from service.registry.location import open_registry
 from service.registry.registry import Registry
-from service.storage.base import Finding
+from service.storage.base import RegistryFinding
 from service.storage.history import Event
 
 
@@ -253,5 +253,5 @@ def doctor(as_json: bool, registry: str) -> None:
         sys.exit(FAILED)
 
 
-def _advice(finding: Finding) -> str:
+def _advice(finding: RegistryFinding) -> str:
     return f"{'BROKEN' if finding.severe else 'note  '}  {finding.where}: {finding.wrong}\n        -> {finding.advice}"

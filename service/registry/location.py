@@ -51,10 +51,10 @@ def trusted_keys(paths: str) -> Signatures | None:
 def _storage(location: str, cache: Path | None) -> Path | Storage:
     if location.startswith(S3_SCHEME):
         try:  # a dependency that only buckets need
-            from service.storage.bucket_storage import ObjectStorage
+            from service.storage.bucket_storage import BucketStorage
         except ImportError as error:
             raise RegistryError("a registry in a bucket needs the extra 's3': pip install 'cazsl[s3]'") from error
-        return ObjectStorage.at(location, cache)
+        return BucketStorage.at(location, cache)
     if "://" in location:
         raise RegistryError("a registry is a folder or s3://bucket/prefix")
     return Path(location)

@@ -1,12 +1,12 @@
-"""The seam below the registry: where its bytes lie, and how one change at a time becomes visible.
+"""The storage protocol: where the bytes of a registry lie, and how one change at a time becomes visible.
 
-A storage keeps versions as sets of files, a ``ModelState`` per model (versions, aliases, spent numbers) and a history.
-Its promises, which the same tests hold for every storage:
+A storage keeps versions as sets of files, a ``ModelState`` per model (versions, aliases, removed numbers) and a
+history. Every storage keeps these promises, and one suite of tests runs against each of them:
 
-- a version is visible whole or not at all, whatever is killed, and its number is never given again;
-- ``commit`` decides on the state as it is at the instant of the change: compare-and-set, for aliases and removals;
-- every change has its line in the history, at the latest when the next one is made;
-- reading writes nothing and believes nothing: names are checked by the registry above, sizes are bounded here.
+- A version is visible whole or not at all, even if the writer is killed. Its number is never used again.
+- ``commit`` decides on the state at the instant of the change: compare-and-set, for aliases and removals.
+- Every change has its line in the history, at the latest when the next change is made.
+- Reading changes no file. Sizes are bounded here. Names are checked by the registry above.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -21,8 +21,15 @@ Decision = Callable[[ModelState], Event]
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Something that should not be as it is: where, what is wrong, what to do; and whether serving suffers."""
+class RegistryFinding:
+    """A fault of a registry.
+
+    Attributes:
+        where: the model, version, alias or file.
+        wrong: the fault in words.
+        advice: the next step for the operator.
+        severe: predictions suffer. False for leftovers that only take space.
+    """
 
     where: str
     wrong: str
@@ -31,92 +38,104 @@ class Finding:
 
 
 class Storage(Protocol):
-    """A folder or a bucket."""
+    """Versions, aliases and histories of models, in a folder or in a bucket."""
 
     def models(self) -> list[str]:
-        """Every name under which a model lies, sorted.
+        """Return the names of all models, sorted.
 
         Raises:
-            RegistryError: it cannot be told; which is not the same as none.
+            RegistryError: the storage cannot be listed. An empty storage is no error.
         """
         ...
 
     def state(self, name: str) -> ModelState:
-        """What is visible of a model now; nothing of one that is not there.
+        """Return the visible state of a model. The state of an unknown model is empty.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the state cannot be read.
         """
         ...
 
     def files(self, name: str, version: int) -> list[str]:
-        """The names of the files of a version.
+        """Return the names of the files of a version.
 
         Raises:
-            BrokenModelError: it is not there, or not a plain folder.
+            BrokenModelError: the version is missing, or is not a plain folder.
         """
         ...
 
     def read(self, name: str, version: int, file: str, limit: int) -> bytes:
-        """A regular file of a version, of at most ``limit`` bytes.
+        """Read a regular file of a version.
 
         Raises:
-            BrokenModelError: names the file and what is wrong with it.
+            BrokenModelError: the file is missing, is not a regular file, or has more than ``limit`` bytes.
         """
         ...
 
     def publish(
         self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None = None
     ) -> int:
-        """Make files visible under the next number, or under one that is asked for; its manifest is written last.
+        """Make files visible as a version and return its number. The manifest is written last.
+
+        Args:
+            name: the model.
+            files: content by file name, without the manifest.
+            manifest: renders the manifest for a version number.
+            number: the version number to use. None uses the next free one.
 
         Raises:
-            ConflictError: the number that was asked for is taken or spent.
-            PublishError: nothing became visible.
-            RegistryError: it is visible, and could not be recorded.
+            ConflictError: ``number`` is taken or was removed.
+            PublishError: no version became visible.
+            RegistryError: the version is visible, but could not be recorded.
         """
         ...
 
     def commit(self, name: str, decide: Decision) -> Event:
-        """Decide on the state as it is, make the event happen, record it.
+        """Call ``decide`` with the current state, apply the event that it returns, and record it.
+
+        Errors of ``decide`` pass unchanged.
 
         Raises:
-            RegistryError: what ``decide`` raised, or nothing happened, or it happened and could not be recorded.
+            RegistryError: the state is unchanged, or it changed and could not be recorded. The message tells which.
         """
         ...
 
     def history(self, name: str) -> History:
-        """What happened to a model.
+        """Return the history of a model.
 
         Raises:
-            RegistryError: it cannot be read.
+            RegistryError: the history cannot be read.
         """
         ...
 
     def signature(self, name: str, version: int) -> bytes | None:
-        """The detached signature of a version, if it has one.
+        """Return the detached signature of a version, or None for an unsigned version.
 
         Raises:
-            BrokenModelError: it cannot be read.
+            BrokenModelError: the signature cannot be read.
         """
         ...
 
     def sign(self, name: str, version: int, signature: bytes) -> None:
-        """Store the detached signature of a version; the version itself does not change.
+        """Store the detached signature of a version. The version itself does not change.
 
         Raises:
-            RegistryError: it could not be stored.
+            RegistryError: the signature could not be stored.
         """
         ...
 
     def fingerprint(self) -> Hashable:
-        """Changes whenever a version, an alias or a signature does; as cheap as can be.
+        """Return a value that changes with every version, alias and signature. Cheap enough to poll.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the storage cannot be listed.
         """
         ...
 
-    def survey(self) -> Sequence[Finding]:
-        """What lies here that is no part of the layout."""
+    def survey(self) -> Sequence[RegistryFinding]:
+        """Return a finding for each entry of the storage that is not part of its layout.
+
+        Raises:
+            RegistryError: the storage cannot be listed.
+        """
         ...

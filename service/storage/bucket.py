@@ -1,7 +1,7 @@
 """Objects of one prefix of an S3-compatible bucket: bounded reads, conditional writes. The only user of obstore.
 
 Credentials, region and endpoint come from the environment as for every S3 tool: AWS_ACCESS_KEY_ID, AWS_REGION,
-AWS_ENDPOINT_URL, ... Methods raise what ``FAILURES`` lists, and ``FileNotFoundError`` for what is not there.
+AWS_ENDPOINT_URL, ... Methods raise the errors of ``FAILURES``. A missing object raises ``FileNotFoundError``.
 """
 
 import os
@@ -26,23 +26,23 @@ FAILURES: Final = (BaseError, OSError)
 
 
 class Bucket:
-    """What lies below one prefix; keys are relative to it."""
+    """Objects below one prefix of a bucket. Keys are relative to the prefix."""
 
     def __init__(self, store: S3Store, address: str) -> None:
-        self.address = address  # endpoint and location: tells one from another
+        self.address = address  # endpoint and location, unique for each bucket
         self._store = store
-        self._conditions_hold = False
+        self._has_conditional_writes = False
 
     @classmethod
     def at(cls, location: str) -> Self:
-        """The bucket and prefix of ``s3://bucket/prefix``; nothing is asked yet.
+        """Open the bucket and prefix of ``s3://bucket/prefix``. No request is sent yet.
 
         Raises:
-            RegistryError: the location or the environment cannot be one.
+            RegistryError: the location has no bucket, or the environment does not describe a store.
         """
         bucket, _, prefix = location.removeprefix("s3://").partition("/")
         if not bucket:
-            raise RegistryError("a registry in a bucket is s3://bucket/prefix")
+            raise RegistryError("registry: the location names no bucket; a registry in a bucket is s3://bucket/prefix")
         endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
         options: S3Config = {"endpoint": endpoint} if endpoint else {}
         try:
@@ -54,29 +54,31 @@ class Bucket:
                 retry_config={"max_retries": 2, "retry_timeout": PATIENCE},
             )
         except (BaseError, ValueError) as error:
-            raise RegistryError("the bucket cannot be used: see CAZSL_REGISTRY and AWS_* in the environment") from error
+            raise RegistryError(
+                "registry: the bucket cannot be opened; check CAZSL_REGISTRY and the AWS_* environment variables"
+            ) from error
         return cls(store, f"{endpoint} {location.rstrip('/')}")
 
     def folders(self, prefix: str = "") -> list[str]:
-        """The names that go on below a prefix."""
+        """Return the names of the folders directly below a prefix."""
         found = obstore.list_with_delimiter(self._store, prefix)["common_prefixes"]
         return [_last(path) for path in found]
 
     def files(self, prefix: str) -> list[str]:
-        """The names that end below a prefix."""
+        """Return the names of the objects directly below a prefix."""
         return [_last(entry["path"]) for entry in obstore.list_with_delimiter(self._store, prefix)["objects"]]
 
     def get(self, key: str, limit: int) -> bytes:
-        """An object of at most ``limit`` bytes, or ``BrokenModelError``."""
+        """Read an object, or raise ``BrokenModelError`` if it has more than ``limit`` bytes."""
         return self.get_tagged(key, limit)[0]
 
     def get_tagged(self, key: str, limit: int) -> tuple[bytes, str | None]:
-        """An object and the tag of what it is now."""
+        """Read an object and its entity tag, bounded as in ``get``."""
         result = obstore.get(self._store, key)
         return _bounded(result, _last(key), limit), result.meta["e_tag"]
 
     def tag(self, key: str) -> str | None:
-        """The tag of what an object is now, None where there is none."""
+        """Return the entity tag of an object, or None if there is no such object."""
         try:
             return obstore.head(self._store, key)["e_tag"]
         except FileNotFoundError:
@@ -91,9 +93,10 @@ class Bucket:
         obstore.put(self._store, key, content, mode="create")
 
     def replace(self, key: str, content: bytes, tag: str | None) -> bool:
-        """Replace the object of this tag, or create it where there was none; whether it is ours now.
+        """Replace the object if it still has this tag, or create it if the tag is None. Return whether it was written.
 
-        An answer that was lost on the way looks like a refusal: the object is then read to tell.
+        If the store's answer is lost, the retried request is refused although the first one succeeded. The object is
+        therefore read and compared.
         """
         try:
             if tag is None:
@@ -111,25 +114,26 @@ class Bucket:
         """Delete an object, if it is there."""
         obstore.delete(self._store, key)
 
-    def must_hold_conditions(self) -> None:
-        """Refuse a store that does not heed conditions: everything promised rests on them.
+    def require_conditional_writes(self) -> None:
+        """Test once, with a probe object, that the store supports conditional writes. Every promise rests on them.
 
         Raises:
-            RegistryError: it does not.
+            RegistryError: the store ignores conditions.
         """
-        if self._conditions_hold:
+        if self._has_conditional_writes:
             return
         key = f"probe-{secrets.token_hex(8)}"
         try:
             self.create(key, b"first")
-            heeded = not self._creates_again(key) and not self.replace(key, b"third", '"0"')
+            supported = not self._creates_again(key) and not self.replace(key, b"third", '"0"')
         finally:
             self.delete(key)
-        if not heeded:
+        if not supported:
             raise RegistryError(
-                "this store does not heed conditional writes (If-None-Match, If-Match); nothing was written"
+                "registry: the store does not support conditional writes (If-None-Match, If-Match), so writers could "
+                "overwrite each other; no version or alias was written; use a store that supports them"
             )
-        self._conditions_hold = True
+        self._has_conditional_writes = True
 
     def _creates_again(self, key: str) -> bool:
         try:
@@ -140,12 +144,12 @@ class Bucket:
 
 
 def reason(error: Exception) -> str:
-    """What went wrong, without addresses of anybody's network."""
+    """Return the cause of an error of the store in words, without network addresses."""
     known = {
-        "PermissionDeniedError": "the right is missing",
-        "UnauthenticatedError": "credentials are refused",
+        "PermissionDeniedError": "permission denied",
+        "UnauthenticatedError": "the credentials are refused",
     }
-    return known.get(type(error).__name__, "the store cannot be reached or refused")
+    return known.get(type(error).__name__, "the store cannot be reached, or refused the request")
 
 
 def _last(path: str) -> str:
@@ -153,7 +157,7 @@ def _last(path: str) -> str:
 
 
 def _bounded(result: "GetResult", file: str, limit: int) -> bytes:
-    """The bytes of an object, never more than a limit, whatever size it claims."""
+    """Read at most ``limit`` bytes of an object, even if it is larger than its metadata says."""
     parts, size = [], result.meta["size"]
     if size <= limit:
         size = 0

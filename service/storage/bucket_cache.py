@@ -1,8 +1,8 @@
-"""What was read from a bucket, kept on a disk: survives restarts and outages, and is believed no more than the bucket.
+"""A cache of a bucket on the disk: it survives restarts and outages, and is verified like the bucket.
 
-Files of a version never change, so they are asked for once; whoever reads them compares their digests, wherever they
-came from (``Registry.read``). States and listings are kept to know what to serve when the bucket cannot be reached. A
-cache that cannot be written costs speed and nothing else; one that holds wrong bytes is emptied of them.
+Files of a version never change, so they are downloaded once. ``Registry.read`` compares their digests in either case.
+States and listings are kept, so that a service can start while the bucket is unreachable. A cache that cannot be
+written only costs speed. Cached files that differ from their manifest are deleted.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDig
 from service.model.reference import is_name
 from service.storage.disk import replace_whole
 
-WHOLE: Final = frozenset({MANIFEST_FILE, MODEL_FILE, CARD_FILE})
+VERSION_FILES: Final = frozenset({MANIFEST_FILE, MODEL_FILE, CARD_FILE})
 MODELS: Final = "models.json"
 STATE: Final = "state.json"
 SIGNATURE: Final = "signature"
@@ -26,12 +26,12 @@ SIGNATURE: Final = "signature"
 
 @dataclass(frozen=True)
 class Cache:
-    """A folder of our own."""
+    """Copies of a bucket's objects in one folder, which no other program writes."""
 
     root: Path
 
     def models(self) -> list[str] | None:
-        """The models that were last listed, if ever any were."""
+        """Return the last listing of models, or None if there is none."""
         try:
             names = json.loads((self.root / MODELS).read_bytes())
         except (OSError, ValueError):
@@ -39,35 +39,39 @@ class Cache:
         return [name for name in names if isinstance(name, str) and is_name(name)] if isinstance(names, list) else None
 
     def keep_models(self, names: list[str]) -> None:
-        """Remember a listing."""
+        """Store a listing of models."""
         self._write(self.root / MODELS, json.dumps(names).encode())
 
     def state(self, name: str) -> bytes | None:
-        """The state that was last read."""
+        """Return the last state of a model as it was read, or None if there is none."""
         with contextlib.suppress(OSError):
             return (self.root / name / STATE).read_bytes()
         return None
 
     def keep_state(self, name: str, content: bytes) -> None:
-        """Remember a state."""
+        """Store the state of a model as it was read."""
         self._write(self.root / name / STATE, content)
 
     def has(self, name: str, version: int) -> bool:
-        """Whether every file of a version is here."""
-        return set(self.files(name, version)) == WHOLE
+        """Return whether every file of a version is cached."""
+        return set(self.files(name, version)) == VERSION_FILES
 
     def files(self, name: str, version: int) -> list[str]:
-        """The files of a version that are here."""
+        """Return the names of the cached files of a version."""
         with contextlib.suppress(OSError):
-            return [entry for entry in os.listdir(self.root / name / str(version)) if entry in WHOLE]  # noqa: PTH208
+            entries = os.listdir(self.root / name / str(version))  # noqa: PTH208 (cheaper than Path objects)
+            return [entry for entry in entries if entry in VERSION_FILES]
         return []
 
     def read(self, name: str, version: int, file: str, limit: int) -> bytes | None:
-        """A file of a version, if it is here and what the manifest beside it vouches for."""
+        """Read a cached file of a version, or return None.
+
+        A file that differs from the manifest beside it is deleted with its version.
+        """
         try:
             with (self.root / name / str(version) / file).open("rb") as opened:
                 content = opened.read(limit + 1)
-            if len(content) <= limit and self._vouched(name, version, file, content):
+            if len(content) <= limit and self._matches_manifest(name, version, file, content):
                 return content
         except OSError:
             return None
@@ -75,25 +79,25 @@ class Cache:
         return None
 
     def keep(self, name: str, version: int, file: str, content: bytes) -> None:
-        """Remember a file of a version."""
-        if file in WHOLE:
+        """Store a file of a version."""
+        if file in VERSION_FILES:
             self._write(self.root / name / str(version) / file, content)
 
     def signature(self, name: str, version: int) -> bytes | None:
-        """The signature that was last read."""
+        """Return the last signature of a version, or None if there is none."""
         with contextlib.suppress(OSError):
             return (self.root / name / f"{version}.{SIGNATURE}").read_bytes()
         return None
 
     def keep_signature(self, name: str, version: int, content: bytes) -> None:
-        """Remember a signature."""
+        """Store the signature of a version."""
         self._write(self.root / name / f"{version}.{SIGNATURE}", content)
 
     def forget(self, name: str, version: int) -> None:
-        """Let go of a version."""
+        """Delete the cached files of a version."""
         shutil.rmtree(self.root / name / str(version), ignore_errors=True)
 
-    def _vouched(self, name: str, version: int, file: str, content: bytes) -> bool:
+    def _matches_manifest(self, name: str, version: int, file: str, content: bytes) -> bool:
         try:
             if file == MANIFEST_FILE:
                 Manifest.parse(content)
@@ -104,7 +108,7 @@ class Cache:
         return manifest.files.get(file) == FileDigest.of(content)
 
     def _write(self, path: Path, content: bytes) -> None:
-        """Replace a file whole; a disk that refuses costs the next reader a download."""
+        """Replace a file as a whole. If the disk refuses, the next reader downloads it again."""
         with contextlib.suppress(OSError):
             if path.exists() and path.read_bytes() == content:
                 return

@@ -5,13 +5,13 @@
     <name>/history/<number>.json                           one object per event, created once
     <name>/signatures/<version>                            a detached signature, where there is one
 
-There is no rename, so order and conditions do its work. Content is created first (a number is claimed by creating its
-model file), then the manifest, and at last ``state.json`` is replaced on condition that nobody else replaced it: that
-one write makes a version visible, moves an alias or removes a version, and it carries the event, so that an event is
-never lost: whoever comes next writes it into the history if its writer died first. What no state names is not there.
+A bucket has no rename, so the order of writes and conditional writes take its place. Content is created first:
+creating the model file claims the number. The manifest follows. Then ``state.json`` is replaced on the condition that
+no other writer replaced it. That one write makes a version visible, moves an alias or removes a version. It carries
+the event, so no event is lost: if its writer dies, the next writer adds it to the history. A version that no state
+names is invisible.
 
-Credentials, region and endpoint come from the environment as for every S3 tool: AWS_ACCESS_KEY_ID, AWS_REGION,
-AWS_ENDPOINT_URL, ... The versions that were read, and the states, are kept in a cache: see ``service.storage.bucket_cache``.
+Versions and states that were read are cached: see ``service.storage.bucket_cache``.
 """
 
 import json
@@ -25,22 +25,22 @@ from typing import Final, Self
 from service.errors import BrokenModelError, ConflictError, PublishError, RegistryError
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest
 from service.model.reference import is_name, parse_version
-from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, Finding
+from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding
 from service.storage.bucket import FAILURES, AlreadyExistsError, Bucket, reason
 from service.storage.bucket_cache import Cache
-from service.storage.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState, user
+from service.storage.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState, current_user
 
 STATE_FILE: Final = "state.json"
 HISTORY: Final = "history"
 SIGNATURES: Final = "signatures"
 MAX_STATE_BYTES: Final = 4 << 20
 MAX_EVENT_BYTES: Final = 64 << 10
-ATTEMPTS: Final = 50  # at a change that others keep overtaking
+ATTEMPTS: Final = 50  # to make one change while other writers win each race
 
 
 @dataclass(frozen=True)
 class _StateFile:
-    """``state.json``: the state, how many events led to it, and the last of them."""
+    """The content of ``state.json``: the state, the number of events that led to it, and the last event."""
 
     state: ModelState = field(default_factory=ModelState)
     generation: int = 0
@@ -48,7 +48,7 @@ class _StateFile:
 
     @classmethod
     def parse(cls, content: bytes) -> Self:
-        """Read it, or raise ``BrokenModelError``."""
+        """Parse the JSON document, or raise ``BrokenModelError``."""
         try:
             document = json.loads(content)
             state = ModelState(
@@ -58,22 +58,22 @@ class _StateFile:
             )
             return cls(state, int(document["generation"]), str(document["event"]).encode())
         except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise BrokenModelError(f"{STATE_FILE}: not a state") from error
+            raise BrokenModelError(f"{STATE_FILE}: not the state of a model; restore it from a backup") from error
 
     def render(self) -> bytes:
-        """One JSON document."""
+        """Render the JSON document."""
         document = {
             "versions": sorted(self.state.versions),
             "aliases": dict(sorted(self.state.aliases.items())),
             "removed": sorted(self.state.removed),
             "generation": self.generation,
             "event": self.event.decode(),
-            "write": secrets.token_hex(8),  # tells this write from one of another's that says the same
+            "write": secrets.token_hex(8),  # makes the writes of two clients differ even if their content is equal
         }
         return json.dumps(document, indent=2).encode() + b"\n"
 
 
-class ObjectStorage:
+class BucketStorage:
     """See ``service.storage.base.Storage``."""
 
     def __init__(self, bucket: Bucket, cache: Cache) -> None:
@@ -82,16 +82,16 @@ class ObjectStorage:
 
     @classmethod
     def at(cls, location: str, cache: Path | None = None) -> Self:
-        """The storage at ``s3://bucket/prefix``, with its cache in this folder, CAZSL_CACHE or the user's own.
+        """Open the storage at ``s3://bucket/prefix``. The cache is in this folder, or CAZSL_CACHE, or ~/.cache/cazsl.
 
         Raises:
-            RegistryError: the location or the environment cannot be one.
+            RegistryError: the location names no bucket, the environment describes no store, or the cache has no folder.
         """
         bucket = Bucket.at(location)
         return cls(bucket, Cache((cache or _cache_folder()) / FileDigest.of(bucket.address.encode()).sha256[:32]))
 
     def models(self) -> list[str]:
-        """See ``Storage.models``; what the cache knows where the store cannot be reached."""
+        """See ``Storage.models``. If the store cannot be reached, the cached listing is returned."""
         try:
             found = self._bucket.folders()
         except FAILURES as error:
@@ -103,14 +103,14 @@ class ObjectStorage:
         return names
 
     def state(self, name: str) -> ModelState:
-        """See ``Storage.state``; what the cache knows where the store cannot be reached."""
+        """See ``Storage.state``. If the store cannot be reached, the cached state is returned."""
         try:
             content = self._bucket.get(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
         except FileNotFoundError:
             return ModelState()
         except FAILURES as error:
             if (known := self._cache.state(name)) is None:
-                raise RegistryError(f"{name}: the store cannot be reached: {reason(error)}") from error
+                raise RegistryError(f"{name}: the state cannot be read: {reason(error)}") from error
             return _StateFile.parse(known).state
         found = _StateFile.parse(content)
         self._cache.keep_state(name, content)
@@ -126,9 +126,9 @@ class ObjectStorage:
             raise BrokenModelError(f"{name}@{version}: {reason(error)}") from error
 
     def read(self, name: str, version: int, file: str, limit: int) -> bytes:
-        """See ``Storage.read``; the cache is asked first, and believed no more than the store."""
+        """See ``Storage.read``. The cache is read first, and verified like the store."""
         if file == MANIFEST_FILE and version not in self.state(name).versions:
-            raise BrokenModelError(f"{file}: {name}@{version} is not there")
+            raise BrokenModelError(f"{file}: there is no version {name}@{version}")
         if (known := self._cache.read(name, version, file, limit)) is not None:
             return known
         try:
@@ -145,14 +145,14 @@ class ObjectStorage:
     ) -> int:
         """See ``Storage.publish``."""
         try:
-            self._bucket.must_hold_conditions()
+            self._bucket.require_conditional_writes()
             version, content = self._claim(name, files, manifest, number)
         except FAILURES as error:
-            raise PublishError(f"{name}: {reason(error)}; nothing was published") from error
+            raise PublishError(f"{name}: {reason(error)}; no version was published") from error
 
         def decide(state: ModelState) -> Event:
-            """Visible from now on, unless the number was spent in the meantime."""
-            state.free(version)
+            """Make the version visible, unless its number was used in the meantime."""
+            state.free_number(version)
             return Event(PUBLISH, None, version, manifest=FileDigest.of(content).sha256)
 
         self.commit(name, decide)
@@ -161,12 +161,14 @@ class ObjectStorage:
     def commit(self, name: str, decide: Decision) -> Event:
         """See ``Storage.commit``."""
         try:
-            self._bucket.must_hold_conditions()
+            self._bucket.require_conditional_writes()
             event = self._commit(name, decide)
             if event.what == REMOVE and event.before is not None:
                 self._delete(name, event.before)
         except FAILURES as error:
-            raise RegistryError(f"{name}: {reason(error)}; look at the history for whether it was done") from error
+            raise RegistryError(
+                f"{name}: {reason(error)}; the change may have been made: see `cazsl models history {name}`"
+            ) from error
         return event
 
     def history(self, name: str) -> History:
@@ -183,7 +185,7 @@ class ObjectStorage:
         return History.parse(b"".join([*lines, found.event]))
 
     def signature(self, name: str, version: int) -> bytes | None:
-        """See ``Storage.signature``; what the cache knows where the store cannot be reached."""
+        """See ``Storage.signature``. If the store cannot be reached, the cached signature is returned."""
         try:
             content = self._bucket.get(f"{name}/{SIGNATURES}/{version}", MAX_SIGNATURE_BYTES)
         except FileNotFoundError:
@@ -194,24 +196,26 @@ class ObjectStorage:
         return content
 
     def sign(self, name: str, version: int, signature: bytes) -> None:
-        """See ``Storage.sign``; the state is touched, so that fingerprints tell."""
+        """See ``Storage.sign``. The state is rewritten, so that the fingerprint changes."""
         try:
             self._bucket.put(f"{name}/{SIGNATURES}/{version}", signature)
             self._commit(name, lambda _: Event(SIGN, None, version))
         except FAILURES as error:
-            raise RegistryError(f"{name}@{version}: {reason(error)}; it was not signed") from error
+            raise RegistryError(f"{name}@{version}: {reason(error)}; the version was not signed") from error
 
     def fingerprint(self) -> Hashable:
-        """See ``Storage.fingerprint``: one listing, and one look at the state of each model."""
+        """See ``Storage.fingerprint``. Sends one listing, and one HEAD request per model."""
         try:
             names = sorted(filter(is_name, self._bucket.folders()))
             return tuple((name, self._bucket.tag(f"{name}/{STATE_FILE}")) for name in names)
         except FAILURES as error:
-            raise RegistryError(f"the store cannot be reached: {reason(error)}") from error
+            raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
 
-    def survey(self) -> Sequence[Finding]:
-        """See ``Storage.survey``: contents that no state names."""
-        advice = "left by a writer that was interrupted, or being written now; it costs room and nothing else"
+    def survey(self) -> Sequence[RegistryFinding]:
+        """See ``Storage.survey``. Finds versions that no state names."""
+        advice = (
+            "a writer was interrupted, or is still writing; it only takes space, and can be deleted once no one writes"
+        )
         found = []
         try:
             for name in self.models():
@@ -219,16 +223,16 @@ class ObjectStorage:
                 for folder in self._bucket.folders(f"{name}/"):
                     version = parse_version(folder)
                     if version is not None and version not in state.versions | state.removed:
-                        found.append(Finding(f"{name}/{version}", "is not finished", advice, severe=False))
+                        found.append(RegistryFinding(f"{name}/{version}", "is incomplete", advice, severe=False))
         except FAILURES as error:
-            raise RegistryError(f"the store cannot be reached: {reason(error)}") from error
+            raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
         return found
 
     def _claim(
         self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None
     ) -> tuple[int, bytes]:
-        """Contents under a number that nobody has, the manifest last."""
-        version = self._state_file(name)[0].state.free(number)
+        """Create the files of a version under an unused number, the manifest last. Return number and manifest."""
+        version = self._state_file(name)[0].state.free_number(number)
         while True:
             content = manifest(version)
             try:
@@ -237,26 +241,28 @@ class ObjectStorage:
                 self._bucket.create(f"{name}/{version}/{MANIFEST_FILE}", content)
             except AlreadyExistsError as error:
                 if number is not None:
-                    raise ConflictError(f"version {number} is taken, or being published") from error
+                    raise ConflictError(
+                        f"{name}: version {number} exists, or is being published; choose another number"
+                    ) from error
                 version += 1
             else:
                 return version, content
 
     def _commit(self, name: str, decide: Decision) -> Event:
-        """Replace the state on condition that it is the one that was decided on; again, if it was not."""
+        """Replace the state if it is still the one that ``decide`` saw. Otherwise decide again."""
         for _ in range(ATTEMPTS):
             found, tag = self._state_file(name)
             self._record(name, found)
-            event = decide(found.state).signed_off(user(), FileDigest.of(found.event).sha256)
+            event = decide(found.state).stamped(current_user(), FileDigest.of(found.event).sha256)
             line = event.render()
             after = _StateFile(found.state.after(event), found.generation + 1, line)
             if self._bucket.replace(f"{name}/{STATE_FILE}", after.render(), tag):
                 self._record(name, after)
                 return event
-        raise RegistryError(f"{name}: others changed it {ATTEMPTS} times in a row; try again")
+        raise RegistryError(f"{name}: other writers changed it {ATTEMPTS} times in a row; try again")
 
     def _record(self, name: str, found: _StateFile) -> None:
-        """The last event has its object in the history, whoever writes it."""
+        """Write the last event into the history, unless another writer did."""
         if found.generation:
             try:
                 self._bucket.create(_event_key(name, found.generation), found.event)
@@ -271,7 +277,7 @@ class ObjectStorage:
         return _StateFile.parse(content), tag
 
     def _delete(self, name: str, version: int) -> None:
-        """What is left of a removed version is its number and its manifest."""
+        """Delete the files of a removed version, except its manifest."""
         for key in (
             f"{name}/{version}/{MODEL_FILE}",
             f"{name}/{version}/{CARD_FILE}",
@@ -289,7 +295,7 @@ def _cache_folder() -> Path:
     named = os.environ.get("CAZSL_CACHE")
     try:
         return Path(named) if named else Path.home() / ".cache" / "cazsl"
-    except RuntimeError as error:  # a user whom the system does not know, as in containers
+    except RuntimeError as error:  # the user has no entry in passwd, as in containers
         raise RegistryError(
-            "copies of a bucket's models have no place: this user has no home; set CAZSL_CACHE to a folder of its own"
+            "the cache of the bucket has no folder: this user has no home; set CAZSL_CACHE to a folder of its own"
         ) from error

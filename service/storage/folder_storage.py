@@ -3,13 +3,13 @@
     <name>/<version>/             manifest.json  model.onnx  card.md     immutable once visible
     <name>/aliases/<alias>        one line: a version
     <name>/signatures/<version>   a detached signature, where there is one
-    <name>/removed/<version>/     manifest.json of a removed version: its number is spent
+    <name>/removed/<version>/     manifest.json of a removed version: its number is never used again
     <name>/history.jsonl          one line per change, and the lock of every writer
 
-A version becomes visible by one rename of a folder that is whole and synced, and goes by one rename into ``removed``.
-Aliases are replaced by a rename. Writers hold an exclusive lock on the history, so whatever lies in staging while the
-lock is held was left by a writer that died: it is swept. Everything written passes through the model's own folder, so
-that one stat of it tells of every change. Links are never followed, and only plain files with one name are read.
+A version becomes visible by one rename of a complete, synced folder. It is removed by one rename into ``removed``.
+Aliases are replaced by a rename. Writers hold an exclusive lock on the history. Staging folders that exist when the
+lock is taken were left by a killed writer, and are deleted. Every write passes through the model's own folder, so one
+stat of that folder shows every change. Links are never followed, and only plain files with one name are read.
 """
 
 import contextlib
@@ -23,14 +23,14 @@ from typing import Final
 
 from service.errors import BrokenModelError, PublishError, RegistryError
 from service.model.reference import is_alias, is_name, parse_version
-from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, Finding
+from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding
 from service.storage.disk import lock, must_be_folder, read_plain, reason
 from service.storage.folder_writer import ALIASES, REMOVED, SIGNATURES, STAGING_PREFIX, FolderWriter
 from service.storage.history import Event, History, ModelState
 
 HISTORY: Final = "history.jsonl"
 MAX_ALIAS_BYTES: Final = 16
-# A folder that changed this recently may change again within one tick of the disk's clock: look once more.
+# A folder that changed this recently may change again within one tick of the disk's clock, so it is polled once more.
 SETTLED_NS: Final = 100_000_000
 _FOLDER: Final = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
@@ -42,7 +42,7 @@ class FolderStorage:
     root: Path
 
     def models(self) -> list[str]:
-        """See ``Storage.models``; links are not models."""
+        """See ``Storage.models``. Links are left out."""
         try:
             with os.scandir(self.root) as entries:
                 return sorted(e.name for e in entries if is_name(e.name) and e.is_dir(follow_symlinks=False))
@@ -50,7 +50,7 @@ class FolderStorage:
             raise RegistryError(f"the registry cannot be listed: {error.strerror}") from error
 
     def state(self, name: str) -> ModelState:
-        """See ``Storage.state``; aliases are read first, so that a version is there before its alias is."""
+        """See ``Storage.state``. Aliases are read before versions, so that every alias names a listed version."""
         aliases = {}
         for alias in filter(is_alias, self._entries(name, ALIASES)):
             if (version := self._alias(name, alias)) is not None:
@@ -76,7 +76,7 @@ class FolderStorage:
             with self._writing(name) as writer:
                 return writer.publish(files, manifest, number)
         except OSError as error:
-            raise PublishError(f"{name}: {reason(error)}; nothing was published") from error
+            raise PublishError(f"{name}: {reason(error)}; no version was published") from error
 
     def commit(self, name: str, decide: Decision) -> Event:
         """See ``Storage.commit``."""
@@ -84,7 +84,7 @@ class FolderStorage:
             with self._writing(name) as writer:
                 return writer.commit(decide(writer.state))
         except OSError as error:
-            raise RegistryError(f"{name}: {reason(error)}; nothing was changed") from error
+            raise RegistryError(f"{name}: {reason(error)}; no change was made") from error
 
     def history(self, name: str) -> History:
         """See ``Storage.history``."""
@@ -109,32 +109,42 @@ class FolderStorage:
             with self._writing(name) as writer:
                 writer.sign(version, signature)
         except OSError as error:
-            raise RegistryError(f"{name}@{version}: {reason(error)}; it was not signed") from error
+            raise RegistryError(f"{name}@{version}: {reason(error)}; the version was not signed") from error
 
     def fingerprint(self) -> tuple[tuple[str, int, bool], ...]:
-        """See ``Storage.fingerprint``: one listing, and one stat per model."""
+        """See ``Storage.fingerprint``. Makes one listing, and one stat per model."""
         return tuple((name, *_modified(self.root / name)) for name in self.models())
 
-    def survey(self) -> Sequence[Finding]:
+    def survey(self) -> Sequence[RegistryFinding]:
         """See ``Storage.survey``."""
         found = []
-        self.models()  # raises where nothing can be told
+        self.models()  # raises if the root cannot be listed
         for entry in sorted(self.root.iterdir()):
             if not is_name(entry.name) or entry.is_symlink() or not entry.is_dir():
                 if not entry.name.startswith("."):
-                    found.append(Finding(entry.name, "is not a model's folder", "move it elsewhere", severe=False))
+                    found.append(
+                        RegistryFinding(entry.name, "is not a model's folder", "move it elsewhere", severe=False)
+                    )
                 continue
-            found += [self._odd(entry.name, part) for part in sorted(self._entries(entry.name)) if _is_odd(part)]
+            found += [
+                self._unexpected(entry.name, part)
+                for part in sorted(self._entries(entry.name))
+                if not _is_expected(part)
+            ]
         return found
 
-    def _odd(self, name: str, part: str) -> Finding:
+    def _unexpected(self, name: str, part: str) -> RegistryFinding:
         if part.startswith(STAGING_PREFIX):
-            advice = "left by a writer that was interrupted, or being written now; the next change sweeps it"
-            return Finding(f"{name}/{part}", "is not finished", advice, severe=False)
-        return Finding(f"{name}/{part}", "is no part of the layout", "move it elsewhere", severe=False)
+            advice = "a writer was interrupted, or is still writing; the next change deletes it"
+            return RegistryFinding(f"{name}/{part}", "is incomplete", advice, severe=False)
+        return RegistryFinding(f"{name}/{part}", "is not part of the layout", "move it elsewhere", severe=False)
 
     def _alias(self, name: str, alias: str) -> int | None:
-        """Where an alias points; None for what is no alias. A disk that fails to tell is an error, not an answer."""
+        """Return the version that an alias names, or None if the file holds no version.
+
+        Raises:
+            RegistryError: the disk failed, which is not the same as a missing alias.
+        """
         try:
             with self._folder(name, ALIASES) as folder:
                 content = read_plain(folder, alias, MAX_ALIAS_BYTES)
@@ -145,7 +155,7 @@ class FolderStorage:
         return parse_version(content.decode("ascii", "replace").strip())
 
     def _entries(self, *parts: str) -> list[str]:
-        """The names in a folder; none of one that is not there."""
+        """Return the names in a folder of the registry. A missing folder has none."""
         try:
             with self._folder(*parts) as folder:
                 return os.listdir(folder)  # noqa: PTH208 (of an open folder)
@@ -158,7 +168,7 @@ class FolderStorage:
 
     @contextlib.contextmanager
     def _folder(self, *parts: str) -> Iterator[int]:
-        """A folder below the root, opened step by step: no step is a link."""
+        """Open a folder below the root step by step, so that no step is a link."""
         try:
             descriptor = os.open(self.root, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         except OSError as error:
@@ -168,10 +178,9 @@ class FolderStorage:
                 try:
                     below = os.open(part, _FOLDER, dir_fd=descriptor)
                 except OSError as error:
-                    why = (
-                        "not a plain folder; links are not followed" if error.errno == errno.ENOTDIR else reason(error)
-                    )
-                    raise BrokenModelError(f"{'/'.join(parts)}: {why}") from error
+                    linked = error.errno == errno.ENOTDIR
+                    cause = "not a plain folder; links are not followed" if linked else reason(error)
+                    raise BrokenModelError(f"{'/'.join(parts)}: {cause}") from error
                 os.close(descriptor)
                 descriptor = below
             yield descriptor
@@ -180,12 +189,12 @@ class FolderStorage:
 
     @contextlib.contextmanager
     def _writing(self, name: str) -> Iterator[FolderWriter]:
-        """The only writer of a model, with what others left undone put right."""
+        """Lock a model for one writer, and finish the work of writers that were killed."""
         must_be_folder(self.root / name)
         descriptor = lock(self.root / name / HISTORY)
         try:
             writer = FolderWriter(self.root / name, descriptor, self.history(name), lambda: self.state(name))
-            writer.put_right()
+            writer.recover()
             yield writer
         finally:
             os.close(descriptor)
@@ -195,13 +204,12 @@ def _numbers(entries: list[str]) -> frozenset[int]:
     return frozenset(number for entry in entries if (number := parse_version(entry)) is not None)
 
 
-def _is_odd(part: str) -> bool:
-    known = part in (ALIASES, REMOVED, SIGNATURES, HISTORY) or parse_version(part) is not None
-    return not known
+def _is_expected(part: str) -> bool:
+    return part in (ALIASES, REMOVED, SIGNATURES, HISTORY) or parse_version(part) is not None
 
 
 def _modified(folder: Path) -> tuple[int, bool]:
-    """When a folder changed, and whether that is long enough ago to be told from a later change."""
+    """Return the time of a folder's last change in ns, and whether a later change is sure to have another time."""
     try:
         modified = folder.stat().st_mtime_ns
     except OSError as error:

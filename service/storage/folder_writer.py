@@ -1,4 +1,4 @@
-"""One change to one model on a plain disk, made by whoever holds the lock on its history."""
+"""Writer of one change to one model on a plain disk. The caller holds the lock on the model's history."""
 
 import contextlib
 import hashlib
@@ -11,7 +11,7 @@ from typing import Final
 from service.errors import RegistryError
 from service.model.manifest import MANIFEST_FILE
 from service.storage.disk import discard, must_be_folder, reason, sync, write_all, write_synced
-from service.storage.history import PUBLISH, REPAIR, SIGN, Event, History, ModelState, unrecorded, user
+from service.storage.history import PUBLISH, REPAIR, SIGN, Event, History, ModelState, current_user, unrecorded
 
 ALIASES: Final = "aliases"
 REMOVED: Final = "removed"
@@ -20,7 +20,7 @@ STAGING_PREFIX: Final = ".staging-"
 
 
 class FolderWriter:
-    """The only writer of a model's folder while it lives: ``put_right`` first, then one change."""
+    """The only writer of a model's folder. Call ``recover`` first, then make one change."""
 
     def __init__(self, folder: Path, descriptor: int, history: History, state: Callable[[], ModelState]) -> None:
         self._folder = folder
@@ -29,14 +29,14 @@ class FolderWriter:
         self._state = state
         self.state = ModelState()
 
-    def put_right(self) -> None:
-        """Sweep staging, finish removals, cut a torn line, record what nobody recorded."""
+    def recover(self) -> None:
+        """Delete staging folders, finish removals, cut off a torn line, and record unrecorded changes."""
         for entry in self._folder.iterdir():
             if entry.name.startswith(STAGING_PREFIX):
                 discard(entry)
         self.state = self._state()
         for version in self.state.removed - self.state.versions:
-            self._empty(version)
+            self._delete_content(version)
         if self._history.torn_bytes:
             size = os.fstat(self._descriptor).st_size
             os.ftruncate(self._descriptor, size - self._history.torn_bytes)
@@ -45,10 +45,10 @@ class FolderWriter:
             self._record(event)
 
     def publish(self, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None) -> int:
-        """Stage, sync, rename, record."""
+        """Stage, sync, rename and record a version. Return its number."""
         recorded = self._history.state()
         known = ModelState(self.state.versions | recorded.versions, removed=self.state.removed | recorded.removed)
-        version = known.free(number)
+        version = known.free_number(number)
         content = manifest(version)
         with self._staging() as staging:
             staging.mkdir()
@@ -57,42 +57,45 @@ class FolderWriter:
             sync(staging)
             staging.rename(self._folder / str(version))
         event = Event(PUBLISH, None, version, manifest=hashlib.sha256(content).hexdigest())
-        with self._visible(event):
+        with self._recording(event):
             sync(self._folder)
             sync(self._folder.parent)
             self._record(event)
         return version
 
     def commit(self, event: Event) -> Event:
-        """Make an alias move or a removal happen."""
+        """Move an alias or remove a version, as the event says. Return the recorded event."""
         if event.alias is not None:
             folder = self._folder / ALIASES
             if event.to is not None:
-                self.put(ALIASES, event.alias, f"{event.to}\n".encode())
+                self._put(ALIASES, event.alias, f"{event.to}\n".encode())
             else:
-                with self._staging() as staging:  # by way of the model's folder, for whoever watches it
+                with self._staging() as staging:  # through the model's folder, so that its time changes
                     (folder / event.alias).rename(staging)
         else:
             folder = self._folder / REMOVED
             folder.mkdir(exist_ok=True)
             (self._folder / str(event.before)).rename(folder / str(event.before))
-        with self._visible(event):
+        with self._recording(event):
             sync(folder)
             sync(self._folder)
             recorded = self._record(event)
         if event.alias is None and event.before is not None:
-            self._empty(event.before)
+            self._delete_content(event.before)
         return recorded
 
     def sign(self, version: int, signature: bytes) -> None:
-        """Store a signature beside the version."""
-        self.put(SIGNATURES, str(version), signature)
-        with self._visible(event := Event(SIGN, None, version)):
+        """Store the signature of a version beside it."""
+        self._put(SIGNATURES, str(version), signature)
+        with self._recording(event := Event(SIGN, None, version)):
             sync(self._folder / SIGNATURES)
             self._record(event)
 
-    def put(self, folder: str, file: str, content: bytes) -> None:
-        """Create or replace a small file in a folder of the model."""
+    def _put(self, folder: str, file: str, content: bytes) -> None:
+        """Create or replace a small file in a folder of the model.
+
+        It is staged in the model's own folder, so that one stat of that folder shows the change.
+        """
         target = self._folder / folder
         target.mkdir(exist_ok=True)
         must_be_folder(target)
@@ -100,8 +103,8 @@ class FolderWriter:
             write_synced(staging, content)
             staging.rename(target / file)
 
-    def _empty(self, version: int) -> None:
-        """What stays of a removed version is its manifest; what cannot be deleted now is tried again next time."""
+    def _delete_content(self, version: int) -> None:
+        """Delete the files of a removed version, except its manifest. The next writer retries if the disk refuses."""
         folder = self._folder / REMOVED / str(version)
         with contextlib.suppress(OSError):
             (self._folder / SIGNATURES / str(version)).unlink(missing_ok=True)
@@ -111,7 +114,7 @@ class FolderWriter:
 
     @contextlib.contextmanager
     def _staging(self) -> Iterator[Path]:
-        """A path beside the target, gone afterwards."""
+        """Provide a path in the model's folder, and delete the entry that is left there afterwards."""
         path = self._folder / f"{STAGING_PREFIX}{secrets.token_hex(8)}"
         try:
             yield path
@@ -120,21 +123,21 @@ class FolderWriter:
                 discard(path)
 
     @contextlib.contextmanager
-    def _visible(self, event: Event) -> Iterator[None]:
-        """From here on the change is there, whatever the disk says."""
+    def _recording(self, event: Event) -> Iterator[None]:
+        """Report a failure of the disk as an unrecorded change: the change itself is visible already."""
         try:
             yield
         except OSError as error:
             which = event.before if event.to is None else event.to
             raise RegistryError(
-                f"{self._folder.name}: {event.what} of {which} is done, and could not be recorded: {reason(error)}; "
+                f"{self._folder.name}: {event.what} of {which} is done, but could not be recorded: {reason(error)}; "
                 "the next change records it"
             ) from error
 
     def _record(self, event: Event) -> Event:
-        """Append a line, whole or not at all."""
-        signed = event.signed_off(user(), self._history.head)
-        line = signed.render()
+        """Append a line to the history, whole or not at all."""
+        stamped = event.stamped(current_user(), self._history.head)
+        line = stamped.render()
         size = os.fstat(self._descriptor).st_size
         try:
             write_all(self._descriptor, line)
@@ -142,6 +145,6 @@ class FolderWriter:
         except OSError:
             os.ftruncate(self._descriptor, size)
             raise
-        events = (*self._history.events, signed)
+        events = (*self._history.events, stamped)
         self._history = History(events, head=hashlib.sha256(line).hexdigest())
-        return signed
+        return stamped

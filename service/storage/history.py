@@ -1,12 +1,12 @@
-"""What happened to a model, as a chain of lines: publish, alias move, removal. Pure: text in, text out.
+"""History of a model as a chain of lines: publish, alias move, removal. This module reads and writes no files.
 
 ``history.jsonl`` holds one JSON object per line: ``time`` (UTC, ISO 8601), ``who``, ``what``, ``from``, ``to``,
-``reason``, and ``previous``: the sha256 of the line before it, newline included. Whoever changes, removes or inserts a
-line breaks the chain there. The first line that carries ``previous`` vouches for everything before it, so a history
-that began before there was a chain goes on as one.
+``reason``, and ``previous``: the sha256 of the line before it, newline included. Changing, removing or inserting a line
+breaks the chain at that place. The first line with ``previous`` covers everything before it, so a history that began
+without a chain continues as one.
 
-A writer that is killed leaves at most a torn last line, or a change that no line tells of: the next writer cuts the
-one, records the other, and says so.
+A writer that is killed leaves at most a torn last line, or a change without a line. The next writer cuts off the torn
+line or adds the missing one, and records that it did.
 """
 
 import getpass
@@ -27,13 +27,12 @@ SIGN: Final = "sign"
 VANISH: Final = "vanish"
 _ALIAS: Final = "alias "
 _NO_HASH: Final = hashlib.sha256().hexdigest()
-UNRECORDED: Final = "found so, and recorded afterwards: a writer was interrupted, or files were changed by hand"
-Texts = str | None
+UNRECORDED: Final = "recorded afterwards: a writer was interrupted, or files were changed by hand"
 
 
 @dataclass(frozen=True)
 class ModelState:
-    """What is visible of a model: its versions, where its aliases point, and the numbers that are spent."""
+    """Visible state of a model: its versions, the version that each alias names, and the removed numbers."""
 
     versions: frozenset[int] = frozenset()
     aliases: Mapping[str, int] = field(default_factory=dict)
@@ -41,23 +40,25 @@ class ModelState:
 
     @property
     def next_version(self) -> int:
-        """The smallest number above every number that was ever visible."""
+        """The smallest number above every number that was ever used."""
         return max(self.versions | self.removed, default=0) + 1
 
-    def free(self, number: int | None) -> int:
-        """The number that is asked for, if it was never visible, or else the next one.
+    def free_number(self, number: int | None) -> int:
+        """Return ``number`` if it was never used. None returns the next version number.
 
         Raises:
-            ConflictError: it was.
+            ConflictError: the number was used.
         """
-        if number is not None and number in self.versions | self.removed:
-            raise ConflictError(
-                f"version {number} is {'taken' if number in self.versions else 'spent: it was removed'}"
-            )
-        return self.next_version if number is None else number
+        if number is None:
+            return self.next_version
+        if number in self.versions:
+            raise ConflictError(f"version {number} exists already; choose another number")
+        if number in self.removed:
+            raise ConflictError(f"version {number} was removed, and its number is never used again; choose another")
+        return number
 
     def after(self, event: "Event") -> "ModelState":
-        """The state once an event has happened."""
+        """Return the state after an event."""
         target = frozenset({event.to} if event.to is not None else ())
         gone = frozenset({event.before} if event.before is not None else ())
         if event.what == PUBLISH:
@@ -72,34 +73,34 @@ class ModelState:
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happened; ``before`` is written as ``from``."""
+    """One change of a model, or one repair of its history. ``before`` is written as ``from``."""
 
     what: str
     before: int | None
     to: int | None
     time: str = ""
     who: str = ""
-    reason: Texts = None
-    manifest: Texts = None  # sha256 of the manifest that was published
-    previous: Texts = None  # None only on lines from before there was a chain
+    reason: str | None = None
+    manifest: str | None = None  # sha256 of the manifest that was published
+    previous: str | None = None  # None only on lines that were written before chains existed
 
     @property
-    def alias(self) -> Texts:
-        """The alias that moved, if one did."""
+    def alias(self) -> str | None:
+        """The alias that moved, or None for other events."""
         return self.what.removeprefix(_ALIAS) if self.what.startswith(_ALIAS) else None
 
     @classmethod
-    def alias_move(cls, alias: str, before: int | None, to: int | None, reason: Texts = None) -> Self:
-        """An alias that points elsewhere from now on."""
+    def alias_move(cls, alias: str, before: int | None, to: int | None, reason: str | None = None) -> Self:
+        """Create the event of an alias that moves. None for ``to`` drops the alias."""
         return cls(f"{_ALIAS}{alias}", before, to, reason=reason)
 
-    def signed_off(self, who: str, previous: str, now: datetime | None = None) -> Self:
-        """The event with its time, its user and its place in the chain."""
+    def stamped(self, who: str, previous: str, now: datetime | None = None) -> Self:
+        """Return the event with its time, its user and the digest of the line before it."""
         time = (now or datetime.now(UTC)).isoformat(timespec="seconds")
         return replace(self, time=time, who=who, previous=previous)
 
     def render(self) -> bytes:
-        """One line."""
+        """Render the event as one line of JSON."""
         document = {
             "time": self.time,
             "who": self.who,
@@ -114,7 +115,7 @@ class Event:
 
     @classmethod
     def parse(cls, line: bytes) -> Self | None:
-        """Read a line; None where it is none."""
+        """Parse a line. Return None if it is not an event."""
         try:
             document = json.loads(line)
         except (ValueError, RecursionError):
@@ -135,23 +136,23 @@ class Event:
         return cls(what, before, to, time, who, reason, manifest, previous)
 
     def as_document(self) -> dict[str, Any]:
-        """For output."""
+        """Return the JSON document of the event."""
         document: dict[str, Any] = json.loads(self.render())
         return document
 
 
 @dataclass(frozen=True)
 class History:
-    """A history as it was read: its events in order, and what is wrong with it."""
+    """A history as it was read: its events in order, and its faults in words."""
 
     events: tuple[Event, ...] = ()
     problems: tuple[str, ...] = ()
     torn_bytes: int = 0
-    head: str = _NO_HASH  # what the next line must carry
+    head: str = _NO_HASH  # ``previous`` of the next line
 
     @classmethod
     def parse(cls, content: bytes) -> Self:
-        """Read a history, follow its chain, and say where it does not hold."""
+        """Parse a history, verify its chain, and list the faults."""
         *lines, torn = content.split(b"\n")
         events: list[Event] = []
         problems: list[str] = []
@@ -164,7 +165,7 @@ class History:
                 events.append(event)
                 if event.previous is not None or chained:
                     if event.previous != head.hexdigest():
-                        problems.append(f"the chain breaks at line {number}: what stands before it was changed")
+                        problems.append(f"the chain breaks at line {number}: a line before it was changed")
                     chained = True
             if chained:
                 head = hashlib.sha256(line)
@@ -175,7 +176,7 @@ class History:
         return cls(tuple(events), tuple(problems), len(torn), head.hexdigest())
 
     def state(self, until: datetime | None = None) -> ModelState:
-        """The state that the events lead to, up to and including an instant."""
+        """Return the state after all events up to and including an instant."""
         found = ModelState()
         for event in self.events:
             if until is not None and (moment := _moment(event.time)) is not None and moment > until:
@@ -185,7 +186,7 @@ class History:
 
 
 def unrecorded(recorded: ModelState, actual: ModelState) -> Sequence[Event]:
-    """What must have happened between what the history tells and what is there."""
+    """Return the events that lead from the recorded state to the actual one."""
     return tuple(replace(event, reason=UNRECORDED) for event in _differences(recorded, actual))
 
 
@@ -214,8 +215,8 @@ def _wanted(key: str, value: object) -> bool:
     return value is not None or key in ("from", "to")
 
 
-def user() -> str:
-    """Who changes something, for the history."""
+def current_user() -> str:
+    """Return the name of the user that runs this process, or the number if it has no name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):  # a container's user without an entry in passwd

@@ -1,4 +1,4 @@
-"""What every storage promises, held for a folder and for a bucket alike."""
+"""Tests of the promises of every storage, run against a folder and against a bucket."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -27,15 +27,15 @@ def server() -> Iterator[Server]:
 
 @pytest.fixture(params=["folder", "bucket"])
 def place(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Registry]:
-    """Opens registries by name, each time as a new process with an empty cache would."""
+    """Return a function that opens a registry by name, as a new process with an empty cache would."""
     opened = 0
 
     def folder(name: str) -> Registry:
-        """A folder."""
+        """Open a registry in a folder."""
         return open_registry(str(tmp_path / name))
 
     def bucket(name: str) -> Registry:
-        """A prefix of a bucket, with a cache of its own."""
+        """Open a registry in a prefix of a bucket, with a cache of its own."""
         nonlocal opened
         opened += 1
         monkeypatch.setenv("CAZSL_CACHE", str(tmp_path / f"cache-{opened}"))
@@ -52,15 +52,15 @@ def place(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mo
 
 @pytest.fixture
 def registry(place: Callable[[str], Registry]) -> Registry:
-    """A registry with one model of two versions, the first being its champion."""
+    """A registry with one model of two versions, of which the first is the champion."""
     found = place("models")
     publish_fake(found)
     publish_fake(found, alias=None)
     return found
 
 
-def test_what_was_published_is_what_anybody_reads(registry: Registry, place: Callable[[str], Registry]) -> None:
-    """Manifest, model and card, through this process and through another."""
+def test_published_version_is_read_by_every_process(registry: Registry, place: Callable[[str], Registry]) -> None:
+    """A published version has the same manifest, model and card in this process and in another."""
     for reader in (registry, place("models"), registry):
         found = reader.read(NAME, 1)
         assert (found.model, found.card, found.manifest.version) == (b"fine", f"# {NAME}\n", 1)
@@ -68,19 +68,19 @@ def test_what_was_published_is_what_anybody_reads(registry: Registry, place: Cal
         assert reader.resolve(ModelReference.parse(NAME)) == 1
 
 
-def test_a_number_is_never_given_twice(registry: Registry, place: Callable[[str], Registry]) -> None:
-    """Not even the newest after its removal, and not by anybody."""
+def test_version_number_is_never_used_twice(registry: Registry, place: Callable[[str], Registry]) -> None:
+    """A version number is not used again after its removal, even by another process."""
     registry.remove(NAME, 2)
     assert publish_fake(place("models"), alias=None) == 3
     registry.remove(NAME, 3)
     assert publish_fake(registry, alias=None) == 4
     assert place("models").versions(NAME) == [1, 4]
-    with pytest.raises(ConflictError, match="spent"):
-        registry.state(NAME).free(3)
+    with pytest.raises(ConflictError, match="never used again"):
+        registry.state(NAME).free_number(3)
 
 
-def test_a_removed_version_cannot_be_read_nor_named(registry: Registry, place: Callable[[str], Registry]) -> None:
-    """Gone for whoever had it in a cache, too."""
+def test_removed_version_cannot_be_read_or_named(registry: Registry, place: Callable[[str], Registry]) -> None:
+    """A removed version cannot be read, named or removed again, even by a process that has it in its cache."""
     other = place("models")
     other.read(NAME, 2)
     registry.remove(NAME, 2)
@@ -93,8 +93,8 @@ def test_a_removed_version_cannot_be_read_nor_named(registry: Registry, place: C
             reader.remove(NAME, 2)
 
 
-def test_what_an_alias_names_is_not_removed(registry: Registry) -> None:
-    """The error says which alias; once it points elsewhere, removal works."""
+def test_version_with_an_alias_is_not_removed(registry: Registry) -> None:
+    """Removing a version that an alias names is an error with the alias. It works once the alias points elsewhere."""
     with pytest.raises(InUseError, match="named by champion"):
         registry.remove(NAME, 1)
     registry.point_alias(NAME, "champion", 2)
@@ -102,8 +102,8 @@ def test_what_an_alias_names_is_not_removed(registry: Registry) -> None:
     assert registry.versions(NAME) == [2]
 
 
-def test_an_alias_moves_only_from_what_the_operator_saw(registry: Registry, place: Callable[[str], Registry]) -> None:
-    """Two operators saw version 1; the second is told, and nothing is overwritten unseen."""
+def test_alias_moves_only_from_the_expected_version(registry: Registry, place: Callable[[str], Registry]) -> None:
+    """Of two operators who both expect version 1, the second gets a conflict, and the alias stays."""
     publish_fake(registry, alias=None)
     other = place("models")
     registry.point_alias(NAME, "champion", 2, expect=1)
@@ -115,10 +115,10 @@ def test_an_alias_moves_only_from_what_the_operator_saw(registry: Registry, plac
     assert registry.aliases(NAME) == {"canary": 3, "champion": 2}
 
 
-def test_of_many_who_saw_the_same_exactly_one_moves_an_alias(
+def test_exactly_one_of_six_concurrent_alias_moves_succeeds(
     registry: Registry, place: Callable[[str], Registry]
 ) -> None:
-    """Compare-and-set at once, from processes' worth of clients."""
+    """Of six concurrent moves with the same expectation, exactly one succeeds."""
     clients = [place("models") for _ in range(6)]
 
     def move(client: Registry) -> bool:
@@ -132,11 +132,11 @@ def test_of_many_who_saw_the_same_exactly_one_moves_an_alias(
         assert sorted(pool.map(move, clients)) == [False] * 5 + [True]
 
 
-def test_publishers_at_once_get_a_number_each(place: Callable[[str], Registry]) -> None:
-    """Twelve versions from four publishers: twelve whole versions, no number twice, every one in the history."""
+def test_concurrent_publishers_get_distinct_numbers(place: Callable[[str], Registry]) -> None:
+    """Four concurrent publishers make twelve whole versions with distinct numbers, all recorded in the history."""
     clients = [place("models") for _ in range(4)]
     with ThreadPool(4) as pool:
-        versions = pool.map(lambda turn: publish_fake(clients[turn % 4], alias=None), range(12))
+        versions = pool.map(lambda number: publish_fake(clients[number % 4], alias=None), range(12))
     registry = place("models")
     assert len(set(versions)) == 12
     assert sorted(versions) == registry.versions(NAME)
@@ -145,10 +145,10 @@ def test_publishers_at_once_get_a_number_each(place: Callable[[str], Registry]) 
     assert (history.problems, {event.to for event in history.events}) == ((), set(versions))
 
 
-def test_removing_and_naming_at_once_never_leaves_an_alias_to_nothing(
+def test_concurrent_removal_and_alias_move_leave_no_dangling_alias(
     place: Callable[[str], Registry], registry: Registry
 ) -> None:
-    """Whoever comes second is refused."""
+    """Of a concurrent removal and alias move of one version, the second is refused."""
     clients = [place("models"), place("models")]
 
     def remove(version: int) -> None:
@@ -177,8 +177,8 @@ def _succeeds(action: Callable[[], object]) -> bool:
     return True
 
 
-def test_the_history_tells_everything_that_happened(registry: Registry) -> None:
-    """Who, when, why, from and to, in a chain that holds."""
+def test_history_records_every_change(registry: Registry) -> None:
+    """A history records user, time, reason, old and new version of every change, in an unbroken chain."""
     registry.point_alias(NAME, "champion", 2, reason="better on circles")
     registry.remove(NAME, 1, reason="old")
     history = registry.history(NAME)
@@ -196,16 +196,16 @@ def test_the_history_tells_everything_that_happened(registry: Registry) -> None:
     assert registry.unrecorded(NAME) == ()
 
 
-def test_what_an_alias_named_then_can_be_told(registry: Registry) -> None:
-    """Now, and before anything was there."""
+def test_version_of_an_alias_at_an_instant_is_known(registry: Registry) -> None:
+    """The version of an alias at an instant comes from the history. It is None before the first move."""
     now = datetime.now(UTC) + timedelta(seconds=2)
     assert registry.alias_at(NAME, "champion", now) == 1
     assert registry.alias_at(NAME, "champion", now - timedelta(days=1)) is None
     assert registry.alias_at(NAME, "canary", now) is None
 
 
-def test_the_fingerprint_changes_with_every_change_and_only_then(registry: Registry) -> None:
-    """Publish, move, sign, drop, remove."""
+def test_fingerprint_changes_with_every_change(registry: Registry) -> None:
+    """A fingerprint changes when a version is published, signed or removed, and when an alias moves or is dropped."""
     seen = {registry.fingerprint()}
     changes: tuple[Callable[[], object], ...] = (
         lambda: publish_fake(registry, alias=None),
@@ -220,19 +220,19 @@ def test_the_fingerprint_changes_with_every_change_and_only_then(registry: Regis
         assert len(seen) == count
 
 
-def test_a_signature_lies_beside_its_version(registry: Registry) -> None:
-    """It can be added later, and changes not a byte of what it signs."""
+def test_signature_is_added_without_changing_the_version(registry: Registry) -> None:
+    """A signature can be added later, and changes no byte of the version that it signs."""
     before = registry.read(NAME, 1)
     assert before.signature is None
     registry.sign(NAME, 1, b"signature")
     assert registry.read(NAME, 1) == replace(before, signature=b"signature")
 
 
-def test_what_is_not_there_is_unknown(registry: Registry) -> None:
-    """A model, an alias, a version; and a storage that does not exist is an error."""
+def test_missing_model_alias_or_version_is_unknown(registry: Registry) -> None:
+    """A request for a missing model, alias or version raises UnknownModelError."""
     for ask in (
-        lambda: registry.history("nobody"),
-        lambda: registry.remove("nobody", 1),
+        lambda: registry.history("absent"),
+        lambda: registry.remove("absent", 1),
         lambda: registry.drop_alias(NAME, "canary"),
         lambda: registry.remove(NAME, 9),
     ):
@@ -240,10 +240,10 @@ def test_what_is_not_there_is_unknown(registry: Registry) -> None:
             ask()
 
 
-def test_copies_between_registries_are_the_same_to_the_byte(
+def test_copy_between_registries_is_equal_to_the_byte(
     registry: Registry, place: Callable[[str], Registry], tmp_path: Path
 ) -> None:
-    """Number and signature included, there and back, and again without harm."""
+    """A copied version keeps its bytes, number and signature, in each direction and when it is repeated."""
     registry.sign(NAME, 2, b"signature")
     folder, other = Registry(tmp_path / "copy"), place("other")
     for destination, source in ((folder, registry), (other, folder), (other, registry)):
@@ -253,8 +253,8 @@ def test_copies_between_registries_are_the_same_to_the_byte(
     assert publish_fake(other, alias=None) == 3
 
 
-def test_a_copy_replaces_nothing(registry: Registry, place: Callable[[str], Registry]) -> None:
-    """Another version of that number, or a number that is spent, stays what it is."""
+def test_copy_never_replaces_a_version(registry: Registry, place: Callable[[str], Registry]) -> None:
+    """A copy is refused if its number names another version, or was removed, in the destination."""
     registry.sign(NAME, 2, b"signature")
     other = place("other")
     other.publish(draft_manifest(), b"other", "card")
@@ -263,6 +263,6 @@ def test_a_copy_replaces_nothing(registry: Registry, place: Callable[[str], Regi
         other.copy(registry, NAME, 2)
     assert other.read(NAME, 2).signature is None
     other.remove(NAME, 2)
-    with pytest.raises(ConflictError, match="spent"):
+    with pytest.raises(ConflictError, match="never used again"):
         other.copy(registry, NAME, 2)
     assert other.read(NAME, 1).model == b"other"

@@ -1,4 +1,4 @@
-"""A registry in a bucket whose clients die, whose server goes away, and whose objects are not what they were."""
+"""Tests of a registry in a bucket: killed clients, outages, caches and changed objects."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ from tests.fakes import load_fake, publish_fake
 
 NAME = "push-indicator"
 LOCATION = f"s3://{BUCKET}/models"
-PATIENCE_S = 120.0  # bounds a hang, measures nothing
+PATIENCE_S = 120.0  # bounds a hang and is not a measurement
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def shared_server() -> Iterator[Server]:
 
 @pytest.fixture
 def server(shared_server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Server:
-    """The server, empty, and known to the environment."""
+    """The empty server, with its address and credentials in the environment."""
     shared_server.empty()
     for key, value in {**shared_server.environment, "CAZSL_CACHE": str(tmp_path / "cache")}.items():
         monkeypatch.setenv(key, value)
@@ -42,7 +42,7 @@ def server(shared_server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 
 @pytest.fixture
 def registry(server: Server) -> Registry:
-    """A registry with two versions, the first being the champion."""
+    """A registry with two versions, of which the first is the champion."""
     found = open_registry(LOCATION)
     publish_fake(found)
     publish_fake(found, alias=None)
@@ -51,15 +51,17 @@ def registry(server: Server) -> Registry:
 
 @pytest.fixture
 def bucket(server: Server) -> S3Store:
-    """The bucket as anybody with its keys has it."""
+    """The bucket, opened without the registry."""
     return S3Store(BUCKET, prefix="models", endpoint=server.environment["AWS_ENDPOINT_URL"], allow_http=True)
 
 
-def test_a_user_without_a_home_is_told_to_name_a_cache(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As in a container, whose user has a number only."""
+def test_missing_home_folder_is_an_error_that_names_the_setting(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A user without a home folder, as in a container, is asked to set CAZSL_CACHE."""
 
     def home() -> Path:
-        """As pathlib has it for such a user."""
+        """Raise the error that pathlib raises for such a user."""
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.delenv("CAZSL_CACHE")
@@ -104,7 +106,10 @@ sys.setprofile(None)
 def test_a_client_killed_before_any_request_leaves_the_old_state_or_the_new_one(
     server: Server, project_root: Path, action: str, before: tuple[list[int], int], after: tuple[list[int], int]
 ) -> None:
-    """Every visible byte verifies, the next client goes on, no number comes twice, the history misses nothing."""
+    """A client killed before its n-th request leaves the old or the new state.
+
+    Every visible byte verifies, the next client continues, no number is used twice, and the history is complete.
+    """
     seen, status, requests = [], -1, 0
     while status != 0:
         requests += 1
@@ -134,10 +139,8 @@ def test_a_client_killed_before_any_request_leaves_the_old_state_or_the_new_one(
     assert turn > 0
 
 
-def test_an_outage_unloads_nothing_and_a_restart_in_it_serves_from_the_cache(
-    server: Server, registry: Registry
-) -> None:
-    """What was read once is served again by a new process while the store is away; readiness says so."""
+def test_outage_keeps_models_loaded_and_a_restart_serves_from_the_cache(server: Server, registry: Registry) -> None:
+    """During an outage, loaded models stay, a new process serves cached versions, and readiness reports the cause."""
     models = LoadedModels(registry, load_fake)
     models.refresh()
     server.stop()
@@ -150,15 +153,15 @@ def test_an_outage_unloads_nothing_and_a_restart_in_it_serves_from_the_cache(
         assert restarted.snapshot.versions(NAME) == [1, 2]
         assert restarted.snapshot.find(ModelReference.parse(NAME)).manifest.version == 1
         assert "cannot be reached" in restarted.snapshot.problems[0]
-        with pytest.raises(PublishError, match="nothing was published"):
+        with pytest.raises(PublishError, match="no version was published"):
             publish_fake(registry, alias=None)
     finally:
         server.start()
 
 
-def test_without_a_cache_an_outage_is_an_error(server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Unknown is not the same as empty."""
-    monkeypatch.setenv("CAZSL_CACHE", str(tmp_path / "nothing"))
+def test_outage_without_a_cache_is_an_error(server: Server, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A store that cannot be reached is not reported as an empty registry."""
+    monkeypatch.setenv("CAZSL_CACHE", str(tmp_path / "empty"))
     registry = open_registry(LOCATION)
     server.stop()
     try:
@@ -168,8 +171,8 @@ def test_without_a_cache_an_outage_is_an_error(server: Server, monkeypatch: pyte
         server.start()
 
 
-def test_a_version_is_fetched_once(registry: Registry, bucket: S3Store, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Its files never change: a restart reads them from the cache, compared as if they came from the store."""
+def test_version_is_downloaded_once(registry: Registry, bucket: S3Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A restarted process reads a version from the cache, because its files never change."""
     registry.read(NAME, 1)
     for file in ("model.onnx", "card.md"):
         obstore.delete(bucket, f"{NAME}/1/{file}")
@@ -177,8 +180,8 @@ def test_a_version_is_fetched_once(registry: Registry, bucket: S3Store, monkeypa
 
 
 @pytest.mark.parametrize("file", ["manifest.json", "model.onnx", "card.md"])
-def test_a_cache_that_holds_other_bytes_is_not_believed(registry: Registry, tmp_path: Path, file: str) -> None:
-    """Wrong bytes are thrown away and fetched again."""
+def test_changed_cache_file_is_deleted_and_downloaded_again(registry: Registry, tmp_path: Path, file: str) -> None:
+    """A cached file with one changed bit is deleted, and the version is downloaded again."""
     registry.read(NAME, 1)
     (path,) = (tmp_path / "cache").glob(f"*/{NAME}/1/{file}")
     content = bytearray(path.read_bytes())
@@ -189,10 +192,10 @@ def test_a_cache_that_holds_other_bytes_is_not_believed(registry: Registry, tmp_
 
 
 @pytest.mark.parametrize("file", ["manifest.json", "model.onnx", "card.md"])
-def test_an_object_that_was_changed_is_refused_by_its_name_and_can_be_mended(
+def test_changed_object_is_refused_by_its_name_until_it_is_restored(
     registry: Registry, bucket: S3Store, file: str
 ) -> None:
-    """The cache does not keep wrong bytes alive once the store is right again."""
+    """An object with a changed bit is refused by its name, and is read again once the store has the right bytes."""
     right = bytes(obstore.get(bucket, f"{NAME}/2/{file}").bytes())
     obstore.put(bucket, f"{NAME}/2/{file}", right[:-1] + bytes([right[-1] ^ 1]))
     with pytest.raises(BrokenModelError, match=file.replace(".", r"\.")):
@@ -201,48 +204,48 @@ def test_an_object_that_was_changed_is_refused_by_its_name_and_can_be_mended(
     assert registry.read(NAME, 2).model == b"fine"
 
 
-def test_an_object_larger_than_its_limit_is_not_fetched(registry: Registry, bucket: S3Store) -> None:
-    """Sizes are bounded before reading, in a bucket too."""
+def test_object_over_its_size_limit_is_refused(registry: Registry, bucket: S3Store) -> None:
+    """The size of an object is checked before it is read."""
     obstore.put(bucket, f"{NAME}/2/card.md", bytes((1 << 20) + 1))
     with pytest.raises(BrokenModelError, match=r"card\.md: more than 1048576 bytes"):
         registry.read(NAME, 2)
 
 
-def test_a_file_too_many_is_refused(registry: Registry, bucket: S3Store) -> None:
-    """As in a folder."""
+def test_file_outside_the_manifest_is_refused(registry: Registry, bucket: S3Store) -> None:
+    """A version with a file that its manifest does not list is refused, as in a folder."""
     obstore.put(bucket, f"{NAME}/2/extra.bin", b"")
     with pytest.raises(BrokenModelError, match="not in the manifest"):
         registry.read(NAME, 2)
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[]", b"\xff", b'{"versions": ["x"]}'])
-def test_a_state_that_is_none_is_refused(registry: Registry, bucket: S3Store, content: bytes) -> None:
-    """Never taken for an empty one."""
+def test_invalid_state_file_is_refused(registry: Registry, bucket: S3Store, content: bytes) -> None:
+    """An invalid state file is an error, not an empty state."""
     obstore.put(bucket, f"{NAME}/state.json", content)
-    with pytest.raises(RegistryError, match="not a state"):
+    with pytest.raises(RegistryError, match="not the state of a model"):
         registry.versions(NAME)
     with pytest.raises(RegistryError):
         publish_fake(registry, alias=None)
 
 
-def test_what_a_dead_publisher_left_is_noted_and_never_visible(registry: Registry, bucket: S3Store) -> None:
-    """A model file without a state is a number that nobody gets."""
+def test_incomplete_version_is_reported_and_never_visible(registry: Registry, bucket: S3Store) -> None:
+    """A model file that no state names is reported, stays invisible, and keeps its number from being used."""
     obstore.put(bucket, f"{NAME}/3/model.onnx", b"half")
     assert registry.versions(NAME) == [1, 2]
     assert [finding.where for finding in registry.survey()] == [f"{NAME}/3"]
     assert publish_fake(registry, alias=None) == 4
 
 
-def test_a_store_that_heeds_no_conditions_is_refused(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Better no change than one that could overwrite another."""
+def test_store_without_conditional_writes_is_refused(registry: Registry, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A store that ignores conditions is refused before the first write."""
     put = obstore.put
     monkeypatch.setattr(obstore, "put", lambda store, key, content, mode=None: put(store, key, content))
-    with pytest.raises(RegistryError, match="does not heed conditional writes"):
+    with pytest.raises(RegistryError, match="does not support conditional writes"):
         publish_fake(open_registry(LOCATION), alias=None)
 
 
 @pytest.mark.parametrize("location", ["http://bucket/models", "ftp://x", "s3://"])
-def test_a_location_that_cannot_be_one_is_told(server: Server, location: str) -> None:
-    """One line that says what a location is."""
+def test_invalid_location_is_an_error(server: Server, location: str) -> None:
+    """A location that is neither a folder nor a bucket is a RegistryError."""
     with pytest.raises(RegistryError):
         open_registry(location).names()

@@ -1,4 +1,4 @@
-"""A registry on a disk that fails for real: processes killed, disks full, rights taken away, two writers at once."""
+"""Tests of a registry on a real disk: killed processes, full disks, missing permissions, concurrent writers."""
 
 import json
 import os
@@ -17,12 +17,12 @@ from service.registry.registry import Registry
 from tests.fakes import draft_manifest, publish_fake
 
 NAME = "push-indicator"
-PATIENCE_S = 120.0  # bounds a hang, measures nothing
+PATIENCE_S = 120.0  # bounds a hang and is not a measurement
 
 
 @pytest.fixture
 def registry(tmp_path: Path) -> Registry:
-    """A registry with two versions, the first being the champion."""
+    """A registry with two versions, of which the first is the champion."""
     found = Registry(tmp_path / "models")
     publish_fake(found)
     publish_fake(found, alias=None)
@@ -30,7 +30,7 @@ def registry(tmp_path: Path) -> Registry:
 
 
 def python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    """A process of its own."""
+    """Run Python in a process of its own."""
     return subprocess.run(
         [sys.executable, *arguments],
         cwd=root,
@@ -56,7 +56,10 @@ def python(root: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
 def test_a_kill_at_any_system_call_leaves_the_old_state_or_the_new_one(
     registry: Registry, project_root: Path, action: str, before: tuple[str, str], after: tuple[str, str]
 ) -> None:
-    """Every byte that is visible verifies, no number comes twice, and the next writer's history is whole."""
+    """A writer killed before its n-th system call leaves the old or the new state.
+
+    Every visible byte verifies, no number is used twice, and the next writer completes the history.
+    """
     done = python(project_root, "-m", "tests.service.kill_at_every_call", str(registry.root), action)
     assert done.returncode == 0, done.stderr
     rounds = [line.split() for line in done.stdout.splitlines()]
@@ -64,13 +67,15 @@ def test_a_kill_at_any_system_call_leaves_the_old_state_or_the_new_one(
     seen = [(versions, champion) for _, versions, champion in rounds]
     assert len(seen) > 20
     turn = seen.index(after)
-    assert seen == [before] * turn + [after] * (len(seen) - turn), "the old state, then the new one, and no other"
+    assert seen == [before] * turn + [after] * (len(seen) - turn), (
+        "expected the old state, then the new one, and no third state"
+    )
     assert before == after or turn > 0
 
 
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 256 kB, where this machine lets us have one."""
+    """A file system of 256 kB. The test is skipped if this machine does not allow the mount."""
     where = tmp_path / "disk"
     where.mkdir()
     mounted = subprocess.run(
@@ -79,13 +84,13 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
         check=False,
     )
     if mounted.returncode:
-        pytest.skip("no right to mount a file system; the limit on file sizes below tests the same")
+        pytest.skip("no permission to mount a file system; the tests with a limit on file sizes cover the same code")
     yield where
     subprocess.run(["umount", str(where)], check=True)  # noqa: S607
 
 
-def test_a_full_disk_publishes_nothing_and_keeps_what_is_there(small_disk: Path) -> None:
-    """Publishing until the disk is full: the last one fails, everything before it verifies, and room helps."""
+def test_full_disk_refuses_a_version_and_keeps_the_earlier_ones(small_disk: Path) -> None:
+    """The version that fills the disk is refused, all earlier ones verify, and publishing works once space is freed."""
     registry = Registry(small_disk / "models")
     with pytest.raises(PublishError, match="No space left"):
         publish_until_it_fails(registry)
@@ -98,21 +103,21 @@ def test_a_full_disk_publishes_nothing_and_keeps_what_is_there(small_disk: Path)
     assert registry.history(NAME).problems == ()
 
 
-def test_a_disk_without_a_byte_left_tears_no_history(small_disk: Path) -> None:
-    """The alias cannot move, stays what it is, and the history stays whole."""
+def test_disk_without_free_space_keeps_the_history_whole(small_disk: Path) -> None:
+    """An alias that cannot move for lack of space stays, and no line of the history is torn."""
     registry = Registry(small_disk / "models")
     publish_fake(registry)
     publish_fake(registry, alias=None)
     with pytest.raises(OSError, match="No space"):
         (small_disk / "filler").write_bytes(bytes(1 << 20))
-    for _ in range(200):  # whatever room a block has left in the history's page
+    for _ in range(200):  # until the space left in the history's last page is used up
         try:
             registry.point_alias(NAME, "champion", 2)
             registry.point_alias(NAME, "champion", 1)
         except RegistryError:
             break
     else:
-        pytest.fail("the disk never was full")
+        pytest.fail("the disk did not fill up")
     assert registry.history(NAME).torn_bytes == 0
     assert registry.aliases(NAME)["champion"] in (1, 2)
     (small_disk / "filler").unlink()
@@ -136,8 +141,8 @@ except CazslError as error:
 """
 
 
-def test_a_write_cut_anywhere_publishes_a_whole_version_or_none(registry: Registry, project_root: Path) -> None:
-    """No file may grow past a limit, from nothing to enough: the write that hits it is cut in its middle."""
+def test_truncated_write_publishes_a_whole_version_or_none(registry: Registry, project_root: Path) -> None:
+    """A write that hits a limit on file sizes, from 0 bytes upward, publishes a whole version or none."""
     whole = max(
         (registry.root / NAME / "1" / "manifest.json").stat().st_size,
         (registry.root / NAME / "history.jsonl").stat().st_size + 400,
@@ -159,11 +164,11 @@ def test_a_write_cut_anywhere_publishes_a_whole_version_or_none(registry: Regist
     assert {("PublishError", 2), ("", 3)} <= outcomes <= {("PublishError", 2), ("RegistryError", 3), ("", 3)}
 
 
-AS_ANYBODY = """
+AS_ANOTHER_USER = """
 import os, sys
 from pathlib import Path
 from service.errors import CazslError
-from service.model.manifest import ModelReference
+from service.model.reference import ModelReference
 from service.registry.registry import Registry
 from tests.fakes import publish_fake
 if os.getuid() == 0:
@@ -186,17 +191,15 @@ for change in changes:
 """
 
 
-def test_a_registry_that_may_only_be_read_is_read_by_anybody_and_changed_by_nobody(
-    registry: Registry, project_root: Path
-) -> None:
-    """As another user without a right to write: reading works, every change is refused, no byte is touched."""
+def test_read_only_registry_is_read_by_another_user_and_stays_unchanged(registry: Registry, project_root: Path) -> None:
+    """A user without write permission reads everything, and every change is refused without touching a byte."""
     for path in [registry.root, *registry.root.rglob("*")]:
         path.chmod(0o555 if path.is_dir() else 0o444)
     for path in registry.root.parents:
         if path.stat().st_uid == os.getuid() and path != Path("/"):
             path.chmod(path.stat().st_mode | 0o055)
     before = snapshot(registry.root)
-    done = python(project_root, "-c", AS_ANYBODY, str(registry.root))
+    done = python(project_root, "-c", AS_ANOTHER_USER, str(registry.root))
     for path in [registry.root, *registry.root.rglob("*")]:
         path.chmod(0o755 if path.is_dir() else 0o644)
     assert done.returncode == 0, done.stderr
@@ -204,17 +207,17 @@ def test_a_registry_that_may_only_be_read_is_read_by_anybody_and_changed_by_nobo
     assert snapshot(registry.root) == before
 
 
-def test_a_read_only_mount_is_read_and_not_changed(small_disk: Path, project_root: Path) -> None:
-    """As ops mount it for the service, and even for root."""
+def test_read_only_mount_is_read_and_stays_unchanged(small_disk: Path, project_root: Path) -> None:
+    """A registry on a read-only mount can be read, and every change is refused, even for root."""
     publish_fake(Registry(small_disk / "models"))
     publish_fake(Registry(small_disk / "models"), alias=None)
     subprocess.run(["mount", "-o", "remount,ro", str(small_disk)], check=True)  # noqa: S607
     registry = Registry(small_disk / "models")
     assert registry.read(NAME, 1).model == b"fine"
     assert registry.history(NAME).problems == ()
-    with pytest.raises(PublishError, match="Read-only file system; nothing was published"):
+    with pytest.raises(PublishError, match="Read-only file system; no version was published"):
         publish_fake(registry, alias=None)
-    with pytest.raises(RegistryError, match="Read-only file system; nothing was changed"):
+    with pytest.raises(RegistryError, match="Read-only file system; no change was made"):
         registry.point_alias(NAME, "champion", 2)
     assert registry.aliases(NAME) == {"champion": 1}
 
@@ -229,8 +232,8 @@ for _ in range(10):
 """
 
 
-def test_publishing_processes_at_once_get_a_number_each(tmp_path: Path, project_root: Path) -> None:
-    """Three processes, ten versions each, in a registry that is not there yet: thirty numbers, none twice."""
+def test_concurrent_processes_publish_distinct_numbers(tmp_path: Path, project_root: Path) -> None:
+    """Three processes that publish ten versions each into a new registry get the numbers 1 to 30, none twice."""
     root = tmp_path / "models"
     running = [
         subprocess.Popen(
@@ -245,8 +248,8 @@ def test_publishing_processes_at_once_get_a_number_each(tmp_path: Path, project_
     assert (history.problems, [event.to for event in history.events]) == ((), list(range(1, 31)))
 
 
-def test_one_directory_stat_per_model_tells_of_every_change(registry: Registry) -> None:
-    """One listing, one stat per model, nothing opened; and yet a publish, a move, a removal, a signature are seen."""
+def test_fingerprint_costs_one_stat_per_model_and_shows_every_change(registry: Registry) -> None:
+    """A fingerprint makes one listing and one stat per model, and changes with every change of the registry."""
     publish_fake(registry, "push-none")
     calls: list[str] = []
 
@@ -281,8 +284,8 @@ def test_one_directory_stat_per_model_tells_of_every_change(registry: Registry) 
         assert long_ago() == before
 
 
-def test_a_change_within_one_tick_of_the_clock_is_looked_at_twice(registry: Registry) -> None:
-    """A folder that changed just now has another fingerprint than the same folder a moment later."""
+def test_recent_change_is_polled_twice(registry: Registry) -> None:
+    """A folder that changed within one tick of the clock has another fingerprint than a moment later."""
     os.utime(registry.root / NAME)
     fresh = registry.fingerprint()
     modified = (registry.root / NAME).stat().st_mtime_ns - 1_000_000_000
@@ -291,13 +294,13 @@ def test_a_change_within_one_tick_of_the_clock_is_looked_at_twice(registry: Regi
     assert [settled for *_, settled in registry.fingerprint()] == [True]  # type: ignore[attr-defined]
 
 
-def test_a_torn_last_line_is_reported_then_cut_and_recorded(registry: Registry) -> None:
-    """Half a line, as a crash leaves it: readers say so, the next writer repairs it and writes down that it did."""
+def test_torn_last_line_is_reported_and_then_repaired(registry: Registry) -> None:
+    """A torn last line is reported by readers. The next writer cuts it off and records the repair."""
     path = registry.root / NAME / "history.jsonl"
     whole = path.read_bytes()
     path.write_bytes(whole[:-20])
     assert "torn" in registry.history(NAME).problems[0]
-    assert path.read_bytes() == whole[:-20], "reading repairs nothing"
+    assert path.read_bytes() == whole[:-20], "reading must not change the file"
     registry.point_alias(NAME, "champion", 2)
     history = registry.history(NAME)
     assert history.problems == ()
@@ -306,23 +309,23 @@ def test_a_torn_last_line_is_reported_then_cut_and_recorded(registry: Registry) 
     assert "recorded afterwards" in (history.events[-2].reason or "")
 
 
-def test_a_number_is_spent_even_when_its_folder_was_deleted_by_hand(registry: Registry) -> None:
-    """What the history knows is not given again."""
+def test_number_of_a_folder_deleted_by_hand_is_not_used_again(registry: Registry) -> None:
+    """A number that the history records is not used again after its folder was deleted by hand."""
     shutil.rmtree(registry.root / NAME / "2")
     assert publish_fake(registry, alias=None) == 3
     assert "vanish" in [event.what for event in registry.history(NAME).events]
 
 
-def test_a_version_whose_number_left_the_history_is_not_given_again_either(registry: Registry) -> None:
-    """Without a history, what was removed is still known."""
+def test_removed_number_is_not_used_again_without_its_history(registry: Registry) -> None:
+    """A removed number is not used again even if the history file is deleted."""
     registry.remove(NAME, 2)
     (registry.root / NAME / "history.jsonl").unlink()
     assert publish_fake(registry, alias=None) == 3
 
 
-def test_what_a_removed_version_was_stays_known(registry: Registry) -> None:
-    """The model and its card go, the manifest stays where no reader takes it for a version."""
-    registry.remove(NAME, 2, reason="too sure of itself")
+def test_removed_version_keeps_its_manifest(registry: Registry) -> None:
+    """A removed version loses its model and its card. Its manifest stays in a folder that no reader lists."""
+    registry.remove(NAME, 2, reason="overconfident")
     left = registry.root / NAME / "removed" / "2"
     assert [entry.name for entry in left.iterdir()] == ["manifest.json"]
     assert json.loads((left / "manifest.json").read_bytes())["version"] == 2
@@ -330,18 +333,18 @@ def test_what_a_removed_version_was_stays_known(registry: Registry) -> None:
         registry.read(NAME, 2)
 
 
-def test_a_history_that_cannot_be_locked_publishes_nothing(registry: Registry) -> None:
-    """Without a history there is no change: its file is every writer's lock."""
+def test_history_that_cannot_be_locked_refuses_a_version(registry: Registry) -> None:
+    """A version is refused if the history file, which is the lock of every writer, cannot be opened."""
     history = registry.root / NAME / "history.jsonl"
     history.unlink()
     history.mkdir()
-    with pytest.raises(PublishError, match="nothing was published"):
+    with pytest.raises(PublishError, match="no version was published"):
         publish_fake(registry, alias=None)
     assert registry.versions(NAME) == [1, 2]
 
 
-def test_a_disk_that_cannot_tell_is_an_error_not_an_empty_answer(registry: Registry) -> None:
-    """A blip of the storage, here no file descriptor left, must not look like a model without aliases."""
+def test_failing_disk_is_an_error_and_not_an_empty_answer(registry: Registry) -> None:
+    """A failing disk, here without free file descriptors, is an error and not a model without aliases."""
     free = os.dup(0)
     os.close(free)
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
@@ -353,8 +356,8 @@ def test_a_disk_that_cannot_tell_is_an_error_not_an_empty_answer(registry: Regis
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
-def test_a_draft_too_large_to_be_read_back_is_not_published(tmp_path: Path) -> None:
-    """The limits of reading hold for writing."""
+def test_model_over_the_size_limit_is_not_published(tmp_path: Path) -> None:
+    """A model file that is too large to be read back is not published."""
     registry = Registry(tmp_path / "models", max_model_bytes=10)
     with pytest.raises(BrokenModelError, match=r"model\.onnx: 11 bytes; at most 10"):
         registry.publish(draft_manifest(), b"x" * 11, "card")
@@ -362,11 +365,11 @@ def test_a_draft_too_large_to_be_read_back_is_not_published(tmp_path: Path) -> N
 
 
 def publish_until_it_fails(registry: Registry) -> None:
-    """A thousand versions of 20 kB, if the disk lets us."""
+    """Publish up to a thousand versions of 20 kB."""
     for _ in range(1000):
         publish_fake(registry, model=b"x" * 20_000, alias=None)
 
 
 def snapshot(root: Path) -> dict[str, tuple[bytes, int]]:
-    """Every file below a folder with its bytes and time."""
+    """Return the bytes and the modification time of every file below a folder."""
     return {str(path): (path.read_bytes(), path.stat().st_mtime_ns) for path in root.rglob("*") if path.is_file()}

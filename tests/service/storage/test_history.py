@@ -1,4 +1,4 @@
-"""The chain of what happened: nothing can be changed in it unseen."""
+"""Tests of histories: a changed line breaks the chain."""
 
 import json
 from datetime import UTC, datetime, timedelta
@@ -21,14 +21,14 @@ BEFORE_CHAINS = b'{"time": "2026-10-01T00:00:00+00:00", "who": "a", "what": "pub
 
 
 def chain(events: tuple[Event, ...] = EVENTS, content: bytes = b"") -> bytes:
-    """A history of these events, a day each."""
+    """Render a history of these events, one per day."""
     for day, event in enumerate(events):
-        content += event.signed_off("ann", History.parse(content).head, START + timedelta(days=day)).render()
+        content += event.stamped("ann", History.parse(content).head, START + timedelta(days=day)).render()
     return content
 
 
 def test_a_history_is_read_as_it_was_written() -> None:
-    """Every field comes back, the chain holds, the state follows."""
+    """A parsed history has every field that was written, an unbroken chain, and the resulting state."""
     history = History.parse(chain())
     assert history.problems == ()
     assert [(event.what, event.before, event.to) for event in history.events] == [
@@ -39,42 +39,45 @@ def test_a_history_is_read_as_it_was_written() -> None:
 
 
 @pytest.mark.parametrize(("day", "version"), [(-1, None), (0, None), (1, 1), (2.5, 1), (3, 2), (99, 2)])
-def test_what_an_alias_named_on_a_day_can_be_told(day: float, version: int | None) -> None:
-    """Events count from their own second on."""
+def test_state_at_an_instant_includes_earlier_events(day: float, version: int | None) -> None:
+    """The state at an instant includes every event up to and including its second."""
     assert History.parse(chain()).state(START + timedelta(days=day)).aliases.get("champion") == version
 
 
 @pytest.mark.parametrize("line", range(len(EVENTS)))
 def test_any_flipped_bit_breaks_the_chain_at_its_line_or_the_next(line: int) -> None:
-    """What was written cannot be changed unseen, but for the last line, which nothing vouches for yet."""
+    """A flipped bit breaks the chain at its own line or at the next one.
+
+    The last line is covered once another line follows it.
+    """
     lines = chain().splitlines(keepends=True)
     for place in range(len(lines[line]) - 1):
         for bit in range(8):
             flipped = lines[line][:place] + bytes([lines[line][place] ^ 1 << bit]) + lines[line][place + 1 :]
             changed = b"".join([*lines[:line], flipped, *lines[line + 1 :]])
-            follow_up = changed + Event(PUBLISH, None, 3).signed_off("x", History.parse(chain()).head).render()
+            follow_up = changed + Event(PUBLISH, None, 3).stamped("x", History.parse(chain()).head).render()
             assert History.parse(follow_up).problems
 
 
-def test_a_line_taken_out_or_put_in_breaks_the_chain() -> None:
-    """Removal, insertion and exchange of lines."""
+def test_removed_or_inserted_line_breaks_the_chain() -> None:
+    """A chain breaks if lines are removed, inserted or exchanged."""
     lines = chain().splitlines(keepends=True)
     for changed in (lines[:1] + lines[2:], lines[:2] + lines[1:], [lines[1], lines[0], *lines[2:]]):
         assert "chain breaks" in " ".join(History.parse(b"".join(changed)).problems)
 
 
-def test_a_history_from_before_there_were_chains_goes_on_as_one() -> None:
-    """The first chained line vouches for all that stands before it."""
+def test_history_without_a_chain_continues_as_one() -> None:
+    """The first line with a digest covers all lines before it, so an old history continues as a chain."""
     old = BEFORE_CHAINS * 3
     assert History.parse(old).problems == ()
     whole = chain(EVENTS[1:], old)
     assert History.parse(whole).problems == ()
     assert History.parse(whole.replace(b'"who": "a"', b'"who": "b"', 1)).problems
-    assert History.parse(whole + BEFORE_CHAINS).problems, "a line without a link cannot follow a chain"
+    assert History.parse(whole + BEFORE_CHAINS).problems, "a line without a digest cannot follow a chain"
 
 
-def test_a_torn_last_line_is_told_and_hurts_nothing_else() -> None:
-    """What a crash in the middle of a write leaves."""
+def test_torn_last_line_is_reported_and_the_others_are_kept() -> None:
+    """A last line that is cut at any byte is reported, and all other events are kept."""
     content = chain()
     for cut in range(1, len(content.splitlines()[-1]) + 1):
         history = History.parse(content[:-cut])
@@ -83,8 +86,8 @@ def test_a_torn_last_line_is_told_and_hurts_nothing_else() -> None:
 
 
 @given(st.binary(max_size=200))
-def test_any_bytes_are_a_history_with_its_problems(content: bytes) -> None:
-    """No bytes do anything but be reported."""
+def test_arbitrary_bytes_are_parsed_without_an_exception(content: bytes) -> None:
+    """Any bytes give events or reported problems, and never an exception."""
     history = History.parse(content)
     assert history.events or history.problems or not content
 
@@ -94,10 +97,10 @@ def test_any_bytes_are_a_history_with_its_problems(content: bytes) -> None:
     st.frozensets(st.integers(1, 5)),
     st.dictionaries(st.sampled_from("ab"), st.integers(1, 5)),
 )
-def test_what_was_not_recorded_leads_from_what_was_to_what_is(
+def test_unrecorded_events_lead_from_the_recorded_to_the_actual_state(
     recorded: frozenset[int], versions: frozenset[int], aliases: dict[str, int]
 ) -> None:
-    """Applying the differences gives the state that is there."""
+    """Applying the unrecorded events to the recorded state gives the actual state."""
     before = ModelState(recorded, {"a": 1})
     actual = ModelState(versions, aliases, recorded - versions)
     state = before
@@ -108,7 +111,7 @@ def test_what_was_not_recorded_leads_from_what_was_to_what_is(
     assert not unrecorded(state, actual)
 
 
-def test_lines_are_json_that_other_tools_can_read() -> None:
-    """One object per line, with the keys of the contract."""
+def test_each_line_is_one_json_object() -> None:
+    """A line is one JSON object with the documented keys."""
     for line in chain().splitlines():
         assert {"time", "who", "what", "from", "to", "previous"} <= set(json.loads(line))
