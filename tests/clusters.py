@@ -1,4 +1,4 @@
-"""A Ray cluster of two nodes on this machine, and a workforce that loses one of them while it is at work."""
+"""A Ray cluster of two nodes on this machine, and an executor that loses one of them while it runs tasks."""
 
 import importlib
 import os
@@ -9,21 +9,21 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-from service.bulk.executors import Crew, RayCluster
+from service.bulk.executors import RayExecutor, WorkerPool
 
 S = TypeVar("S")
-P = TypeVar("P")
+T = TypeVar("T")
 R = TypeVar("R")
-LOOKS = 3000
-LOOK_S = 0.02
+POLLS = 3000
+POLL_S = 0.02
 NODE: Final[dict[str, Any]] = {
     "num_cpus": 1,
     "node_ip_address": "127.0.0.1",
     "object_store_memory": 80 * 2**20,
     "include_dashboard": False,
 }
-# no reports to Ray's makers; a cluster of this machine alone, which Ray knows on other systems only; and workers that
-# give way to nobody: beside busy processes Ray's own niceness (15) all but stops them
+# Ray reports no usage, and allows a cluster on this machine alone, which it does not by default on Linux. Its workers
+# run at normal priority: at Ray's default niceness of 15 they nearly stop on a busy machine.
 ENVIRONMENT = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
@@ -32,80 +32,80 @@ ENVIRONMENT = {
 
 
 class TwoNodes:
-    """A head with one processor, and for as long as it lives a second node with another."""
+    """A Ray cluster with a head node and a second node, of one processor each. The second node may be lost."""
 
     def __init__(self) -> None:
-        # by its name, since it takes seconds and has no types; only tests with a cluster pay for it
+        # imported by name: the import takes seconds and has no types, and only tests with a cluster need it
         self._cluster = importlib.import_module("ray.cluster_utils").Cluster(initialize_head=True, head_node_args=NODE)
         self._second: Any = None
         self.address: str = self._cluster.address
 
     def complete(self) -> None:
-        """See to it that there are two."""
+        """Add the second node if it is missing."""
         if self._second is None:
             self._second = self._cluster.add_node(**NODE)
 
     def lose_one(self) -> None:
-        """Kill the second node and all that it does."""
+        """Kill the second node with its workers."""
         self._cluster.remove_node(self._second, allow_graceful=False)
         self._second = None
 
     def close(self) -> None:
-        """End both."""
+        """Shut down both nodes."""
         self._cluster.shutdown()
 
 
-class LosesNode(RayCluster):
-    """Holds up two pieces, one on each node, kills one of the nodes and lets the others go on."""
+class NodeLossExecutor(RayExecutor):
+    """An executor that blocks two tasks, one on each node, kills one of the nodes and lets the other tasks continue."""
 
     def __init__(self, cluster: TwoNodes, folder: Path, held: int) -> None:
         super().__init__(cluster.address)
         self._cluster, self._folder, self._held = cluster, folder, held
 
     @contextmanager
-    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> Iterator[Crew[P, R]]:
-        """As its parent; pieces travel with their number."""
-        with super().at_work(held_up, (prepare, shared, self._folder, self._held)) as crew:
+    def start(self, prepare: Callable[[S], Callable[[T], R]], shared: S) -> Iterator[WorkerPool[T, R]]:
+        """Start the pool of the parent class, with tasks that carry their number."""
+        with super().start(prepare_blocking, (prepare, shared, self._folder, self._held)) as pool:
             numbers = iter(range(10**6))
 
-            def submit(piece: P) -> Future[Any]:
+            def submit(task: T) -> Future[Any]:
                 number = next(numbers)
                 if number == self._held + 2:
-                    wait_for(lambda: all(map(self._doers, (self._held, self._held + 1))))
-                    doers = self._doers(self._held) + self._doers(self._held + 1)
+                    wait_for(lambda: all(map(self._processes, (self._held, self._held + 1))))
+                    processes = self._processes(self._held) + self._processes(self._held + 1)
                     self._cluster.lose_one()
-                    wait_for(lambda: any(map(ended, doers)))  # a worker outlives its node by a moment
+                    wait_for(lambda: any(map(ended, processes)))  # a worker outlives its node by a moment
                     (self._folder / "go").touch()
-                return crew.submit((number, piece))
+                return pool.submit((number, task))
 
-            yield Crew(submit, crew.ahead)
+            yield WorkerPool(submit, pool.ahead)
 
-    def done_twice(self) -> int:
-        """How many of the two that were held up were begun a second time."""
-        return sum(len(self._doers(place)) == 2 for place in (self._held, self._held + 1))
+    def run_twice(self) -> int:
+        """Return the number of blocked tasks that were started a second time."""
+        return sum(len(self._processes(number)) == 2 for number in (self._held, self._held + 1))
 
-    def _doers(self, number: int) -> list[int]:
-        """The processes that began a piece."""
+    def _processes(self, number: int) -> list[int]:
+        """Return the ids of the processes that started a task."""
         return [int(path.name.rpartition("-")[2]) for path in self._folder.glob(f"{number}-*")]
 
 
-def held_up(shared: tuple[Callable[[Any], Callable[[Any], Any]], Any, Path, int]) -> Callable[[Any], Any]:
-    """On the nodes: leave a mark for each piece that is begun, and wait with two of them for the word to go on."""
+def prepare_blocking(shared: tuple[Callable[[Any], Callable[[Any], Any]], Any, Path, int]) -> Callable[[Any], Any]:
+    """Prepare a node: each started task leaves a file, and two of the tasks wait until the file ``go`` appears."""
     prepare, inner, folder, held = shared
     work = prepare(inner)
 
-    def do(numbered: tuple[int, Any]) -> Any:
-        number, piece = numbered
+    def run(numbered: tuple[int, Any]) -> Any:
+        number, task = numbered
         (folder / f"{number}-{os.getpid()}").touch()
         if number in (held, held + 1):
             wait_for((folder / "go").exists)
-        return work(piece)
+        return work(task)
 
-    return do
+    return run
 
 
 def ended(pid: int) -> bool:
-    """Whether a process is no more, or is a corpse that its parent has not buried."""
+    """Return whether a process has ended. A zombie has."""
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "Z"
     except OSError:
@@ -113,9 +113,9 @@ def ended(pid: int) -> bool:
 
 
 def wait_for(event: Callable[[], bool]) -> None:
-    """Look until it is so, for a minute."""
-    for _ in range(LOOKS):
+    """Poll until an event occurs, for a minute at most."""
+    for _ in range(POLLS):
         if event():
             return
-        time.sleep(LOOK_S)
-    raise AssertionError("it never came to be")
+        time.sleep(POLL_S)
+    raise AssertionError("the event did not occur within a minute")

@@ -1,7 +1,7 @@
-"""A chunk of many pushes in columns: what it is, which of its rows cannot be, and its predictions.
+"""A chunk of many pushes in columns: validation of its rows, and their predictions.
 
-Rows follow the rules of a request: numbers finite, pushers within reach, objects that can be. Chunks are cut by rows
-alone, never by who does them.
+Rows follow the rules of a request: numbers are finite, pushers are within reach, contexts are valid. A chunk is cut
+after a fixed number of rows, whatever executor predicts it, so results do not depend on the executor.
 """
 
 from dataclasses import dataclass
@@ -30,24 +30,24 @@ class Chunk:
     """Consecutive rows of a table."""
 
     first_row: int
-    poses: DoubleArray  # (n, 3) in the object frame; NaN where nothing stands
-    empty: npt.NDArray[np.bool_]  # (n, 3): where nothing stands
-    objects: tuple[str | bytes | None, ...]  # distinct descriptors or visual contexts, None where nothing stands
-    places: IndexArray | None  # (n,): which of the objects each push meets; None for models without context
+    poses: DoubleArray  # (n, 3) in the object frame, NaN for empty cells
+    empty: npt.NDArray[np.bool_]  # (n, 3), True for empty cells
+    contexts: tuple[str | bytes | None, ...]  # distinct descriptors or visual contexts, None for empty cells
+    context_index: IndexArray | None  # (n,) index of each push into ``contexts``. None for models without context
 
 
 @dataclass(frozen=True)
 class ModelParts:
-    """A verified version on its way to whoever predicts with it."""
+    """A verified version, as it is sent to the workers."""
 
     manifest: Manifest
     model: bytes
 
     def load(self) -> LoadedModel:
-        """The model in memory, checked there too: another machine may have another runtime.
+        """Load the model and run its self-check, because a worker's machine may have another runtime.
 
         Raises:
-            BrokenModelError: it fails its self-check.
+            BrokenModelError: the model cannot be loaded, or fails its self-check.
         """
         predictor = OnnxPredictor(self.model, self.manifest.context_kind)
         check_itself(self.manifest, predictor)
@@ -55,25 +55,25 @@ class ModelParts:
 
 
 def predict_chunk(model: LoadedModel, chunk: Chunk) -> FloatArray:
-    """Mean and std of each push side by side, (n, 6), in the order of ``PREDICTED_COLUMNS``.
+    """Predict mean and std of each push, (n, 6), in the order of ``PREDICTED_COLUMNS``.
 
     Raises:
-        InvalidRequestError: names the first row that cannot be, its column, what stands there and what may.
-        PredictionError: the runtime failed.
+        InvalidRequestError: a row is invalid. The error names the first one, its column, the value and the accepted
+        ones. PredictionError: the runtime failed.
     """
     kind = model.manifest.context_kind
-    contexts, wrong_object = _contexts(kind, chunk)
-    wrong_pose = _wrong_pose(chunk)
-    if wrong := min(filter(None, (wrong_pose, wrong_object)), key=lambda each: each[0], default=None):
-        raise InvalidRequestError([wrong[1]])
+    contexts, context_fault = _contexts(kind, chunk)
+    pose_fault = _pose_fault(chunk)
+    if fault := min(filter(None, (pose_fault, context_fault)), key=lambda each: each[0], default=None):
+        raise InvalidRequestError([fault[1]])
     pushers: FloatArray = chunk.poses.astype(np.float32)
     pushers[:, 2] = wrap_angles(chunk.poses[:, 2])
-    mean, std = model.predict(pushers, kind, contexts, chunk.places)
+    mean, std = model.predict(pushers, kind, contexts, chunk.context_index)
     return np.hstack([mean, std])
 
 
-def _wrong_pose(chunk: Chunk) -> tuple[int, FieldFault] | None:
-    """The first row with a pose that cannot be, and what is wrong with it."""
+def _pose_fault(chunk: Chunk) -> tuple[int, FieldFault] | None:
+    """Return the first row with an invalid pose and its fault, or None."""
     good = np.isfinite(chunk.poses)
     good[:, :2] &= np.abs(chunk.poses[:, :2]) <= REACH_M
     if good.all():
@@ -81,35 +81,37 @@ def _wrong_pose(chunk: Chunk) -> tuple[int, FieldFault] | None:
     row, column = (int(place) for place in np.argwhere(~good)[0])
     where, value = _where(chunk, row, POSE_COLUMNS[column]), float(chunk.poses[row, column])
     if chunk.empty[row, column]:
-        return row, FieldFault(where, "nothing", "a finite number")
+        return row, FieldFault(where, "an empty cell", "a finite number")
     if not np.isfinite(value):
         return row, FieldFault(where, str(value), "a finite number")
     return row, unreachable(where, value)
 
 
 def _contexts(kind: ContextKind, chunk: Chunk) -> tuple[FloatArray | None, tuple[int, FieldFault] | None]:
-    """The distinct objects as the model takes them; or the first row whose object cannot be, and why."""
-    if chunk.places is None:
+    """Return the distinct contexts as a tensor, or the first row with an invalid context and its fault."""
+    if chunk.context_index is None:
         return None, None
     tensors = []
-    for number, given in enumerate(chunk.objects):  # by first appearance, so the first wrong one is in the first row
-        row = int(np.argmax(chunk.places == number))
+    for number, given in enumerate(
+        chunk.contexts
+    ):  # in order of appearance, so the first fault is in the first invalid row
+        row = int(np.argmax(chunk.context_index == number))
         where = _where(chunk, row, CONTEXT_COLUMNS[kind])
         try:
-            tensors.append(_object(given, where).tensor())
+            tensors.append(_parse_context(given, where).tensor())
         except InvalidRequestError as error:
             return None, (row, error.faults[0])
     return np.stack(tensors), None
 
 
-def _object(given: str | bytes | None, where: str) -> ObjectContext | VisualContext:
+def _parse_context(given: str | bytes | None, where: str) -> ObjectContext | VisualContext:
     match given:
         case str():
             return ObjectContext.from_descriptor(given, where)
         case bytes():
             return VisualContext.from_bytes(given, where)
         case None:
-            raise InvalidRequestError.at(where, "nothing", "an object in every row")
+            raise InvalidRequestError.at(where, "an empty cell", "an object in every row")
 
 
 def _where(chunk: Chunk, row: int, column: str) -> str:

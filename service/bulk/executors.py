@@ -1,8 +1,8 @@
-"""Whoever does many independent pieces of work: this process or its threads, processes on its cores, or a Ray cluster.
+"""Executors of many independent tasks: this process, its threads, processes on its cores, or a Ray cluster.
 
-A piece's result depends on the piece alone, so results are equal wherever they are made and however many make them.
-What all pieces need is ``shared``: it is sent once to each process, which calls ``prepare(shared)`` once and gets the
-function that does a piece. A piece whose node dies is done again on another.
+A result depends on its task alone, so results are equal on every executor and with any number of workers. Data that
+all tasks need are ``shared``: they are sent once to each process, which calls ``prepare(shared)`` once and gets the
+function that runs a task. A task whose node dies is run again on another node.
 """
 
 import importlib
@@ -26,167 +26,167 @@ import service
 from service.errors import WorkforceError
 
 S = TypeVar("S")
-P = TypeVar("P")
+T = TypeVar("T")
 R = TypeVar("R")
-RETRIES: Final = 10  # of a piece whose node or process died; one that kills whatever does it must end some time
-REACH_S: Final = 5.0
-_ready: Final[dict[str, Callable[[Any], Any]]] = {}  # what this process was prepared for, by the crew that it serves
+RETRIES: Final = 10  # of a task whose node or process died; bounded, because a task may kill its own worker
+CONNECT_TIMEOUT_S: Final = 5.0
+_prepared: Final[dict[str, Callable[[Any], Any]]] = {}  # the function that runs a task in this process, by worker pool
 
 
 @dataclass(frozen=True)
-class Crew(Generic[P, R]):
-    """Those who are at work; ``ahead`` pieces are with them at once, so that nobody waits and memory is bounded."""
+class WorkerPool(Generic[T, R]):
+    """A running pool of workers. At most ``ahead`` tasks are submitted at a time, which bounds the memory."""
 
-    submit: Callable[[P], Future[R]]
+    submit: Callable[[T], Future[R]]
     ahead: int
 
-    def in_order(self, pieces: Iterable[P]) -> Iterator[R]:
-        """The results, in the order of the pieces."""
+    def in_order(self, tasks: Iterable[T]) -> Iterator[R]:
+        """Run tasks and yield their results in the order of the tasks."""
         sent: deque[Future[R]] = deque()
-        for piece in pieces:
-            sent.append(self.submit(piece))
+        for task in tasks:
+            sent.append(self.submit(task))
             if len(sent) > self.ahead:
                 yield sent.popleft().result()
         while sent:
             yield sent.popleft().result()
 
-    def as_finished(self, pieces: Iterable[P]) -> Iterator[tuple[P, R]]:
-        """Each piece with its result, as soon as that is there."""
-        sent: dict[Future[R], P] = {}
-        for piece in pieces:
-            sent[self.submit(piece)] = piece
+    def as_completed(self, tasks: Iterable[T]) -> Iterator[tuple[T, R]]:
+        """Run tasks and yield each with its result as soon as it is completed."""
+        sent: dict[Future[R], T] = {}
+        for task in tasks:
+            sent[self.submit(task)] = task
             if len(sent) > self.ahead:
-                yield from _finished(sent)
+                yield from _completed(sent)
         while sent:
-            yield from _finished(sent)
+            yield from _completed(sent)
 
 
-def _finished(sent: dict[Future[R], P]) -> Iterator[tuple[P, R]]:
-    """Wait for at least one, and let go of those that are there."""
+def _completed(sent: dict[Future[R], T]) -> Iterator[tuple[T, R]]:
+    """Wait for at least one task, then remove and yield all completed ones."""
     done, _ = wait(sent, return_when=FIRST_COMPLETED)
     for future in done:
         yield sent.pop(future), future.result()
 
 
-class Workforce(Protocol):
-    """See the module.
+class Executor(Protocol):
+    """A way to run tasks. See the module.
 
     Attributes:
-        words: who it is, for people.
-        here: pieces are done in this very process, one after the other.
-        shares_disk: whoever does a piece sees the files that this process sees.
+        description: the executor in words, such as ``4 jobs``.
+        serial: tasks run one after the other, in this process.
+        shares_disk: workers see the files of this process.
     """
 
-    words: str
-    here: bool
+    description: str
+    serial: bool
     shares_disk: bool
 
-    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> AbstractContextManager[Crew[P, R]]:
-        """Call the crew together, and send it home; what it was doing then is dropped.
+    def start(self, prepare: Callable[[S], Callable[[T], R]], shared: S) -> AbstractContextManager[WorkerPool[T, R]]:
+        """Start a pool of workers. On leaving the context it is stopped, and unfinished tasks are dropped.
 
         Raises:
-            WorkforceError: it cannot be had, or was lost.
+            WorkforceError: the workers cannot be started, or were lost.
         """
         ...
 
 
-class ThisProcess:
-    """One piece after the other, here."""
+class SerialExecutor:
+    """Runs one task after the other in this process."""
 
-    words = "1 job"
-    here = True
+    description = "1 job"
+    serial = True
     shares_disk = True
 
     @contextmanager
-    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> Iterator[Crew[P, R]]:
-        """See ``Workforce.at_work``."""
+    def start(self, prepare: Callable[[S], Callable[[T], R]], shared: S) -> Iterator[WorkerPool[T, R]]:
+        """See ``Executor.start``."""
         work = prepare(shared)
 
-        def submit(piece: P) -> Future[R]:
+        def submit(task: T) -> Future[R]:
             future: Future[R] = Future()
-            future.set_result(work(piece))
+            future.set_result(work(task))
             return future
 
-        yield Crew(submit, ahead=0)
+        yield WorkerPool(submit, ahead=0)
 
 
-class LocalThreads:
-    """Threads of this process, for work that is mostly done outside of Python: nothing is started or copied."""
+class ThreadExecutor:
+    """Runs tasks in threads of this process, for work that releases the interpreter lock. No data are copied."""
 
-    here = False
+    serial = False
     shares_disk = True
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        self.words = f"{jobs} job{'s' * (jobs > 1)}"
+        self.description = f"{jobs} job{'s' * (jobs > 1)}"
 
     @contextmanager
-    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> Iterator[Crew[P, R]]:
-        """See ``Workforce.at_work``."""
+    def start(self, prepare: Callable[[S], Callable[[T], R]], shared: S) -> Iterator[WorkerPool[T, R]]:
+        """See ``Executor.start``."""
         work = prepare(shared)
-        pool = ThreadPoolExecutor(self._jobs)
+        threads = ThreadPoolExecutor(self._jobs)
         try:
-            yield Crew(lambda piece: pool.submit(work, piece), ahead=2 * self._jobs)
+            yield WorkerPool(lambda task: threads.submit(work, task), ahead=2 * self._jobs)
         finally:
-            pool.shutdown(cancel_futures=True)
+            threads.shutdown(cancel_futures=True)
 
 
-class LocalCores:
-    """Processes on this machine, started afresh rather than forked: torch and onnxruntime have threads."""
+class ProcessExecutor:
+    """Runs tasks in processes on this machine. They are spawned, because forking breaks the threads of torch."""
 
-    here = False
+    serial = False
     shares_disk = True
 
     def __init__(self, jobs: int) -> None:
         self._jobs = jobs
-        self.words = f"{jobs} jobs"
+        self.description = f"{jobs} jobs"
 
     @contextmanager
-    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> Iterator[Crew[P, R]]:
-        """See ``Workforce.at_work``."""
+    def start(self, prepare: Callable[[S], Callable[[T], R]], shared: S) -> Iterator[WorkerPool[T, R]]:
+        """See ``Executor.start``."""
         others = set(multiprocessing.active_children())
-        parcel = pickle.dumps((prepare, shared))
-        pool = ProcessPoolExecutor(self._jobs, multiprocessing.get_context("spawn"), _begin, (parcel,))
+        payload = pickle.dumps((prepare, shared))
+        processes = ProcessPoolExecutor(self._jobs, multiprocessing.get_context("spawn"), _prepare_process, (payload,))
         try:
-            yield Crew(lambda piece: pool.submit(_do_here, piece), ahead=2 * self._jobs)
-            pool.shutdown()
+            yield WorkerPool(lambda task: processes.submit(_run_in_process, task), ahead=2 * self._jobs)
+            processes.shutdown()
         except BrokenProcessPool as error:
             raise WorkforceError(
-                f"one of {self.words} ended abruptly, as when memory runs out; try again with fewer --jobs"
+                f"one of {self.description} ended abruptly, perhaps because memory ran out; try again with fewer --jobs"
             ) from error
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            processes.shutdown(wait=False, cancel_futures=True)
             for child in set(multiprocessing.active_children()) - others:
-                child.kill()  # otherwise this process would wait for what it is doing
+                child.kill()  # otherwise this process would wait for the task of the child
                 child.join()
 
 
-class RayCluster:
-    """Tasks of one processor each on a Ray cluster of which this machine is a node."""
+class RayExecutor:
+    """Runs tasks of one processor each on a Ray cluster of which this machine is a node."""
 
-    here = False
+    serial = False
     shares_disk = False
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self.words = f"Ray at {address}"
+        self.description = f"Ray at {address}"
 
     @contextmanager
-    def at_work(self, prepare: Callable[[S], Callable[[P], R]], shared: S) -> Iterator[Crew[P, R]]:
-        """See ``Workforce.at_work``."""
-        try:  # a dependency that only those pay who have a cluster
+    def start(self, prepare: Callable[[S], Callable[[T], R]], shared: S) -> Iterator[WorkerPool[T, R]]:
+        """See ``Executor.start``."""
+        try:  # a large dependency, loaded only if a cluster is used
             ray = importlib.import_module("ray")
         except ImportError as error:
             raise WorkforceError("--ray needs the extra 'ray': pip install 'cazsl[ray]'") from error
         self._connect(ray)
         try:
-            parcel = ray.put(pickle.dumps((prepare, shared)))
-            task = ray.remote(num_cpus=1, max_retries=RETRIES)(_do_there)
-            crew = secrets.token_hex(8), service.__version__, [parcel]  # in a list a reference stays one
+            payload = ray.put(pickle.dumps((prepare, shared)))
+            run = ray.remote(num_cpus=1, max_retries=RETRIES)(_run_on_node)
+            pool = secrets.token_hex(8), service.__version__, [payload]  # a reference in a list is not resolved by Ray
             processors = int(ray.cluster_resources().get("CPU", 1))
-            yield Crew(lambda piece: task.remote(*crew, piece).future(), ahead=2 * max(processors, 1))
+            yield WorkerPool(lambda task: run.remote(*pool, task).future(), ahead=2 * max(processors, 1))
         except ray.exceptions.RayTaskError as error:
-            raise error.cause from None  # what went wrong there, as if it had here
+            raise error.cause from None  # the task's own error, as if it had run in this process
         except ray.exceptions.RayError as error:
             raise WorkforceError(
                 f"the Ray cluster at {self._address} failed ({type(error).__name__}: {str(error).splitlines()[0]}); "
@@ -198,29 +198,29 @@ class RayCluster:
     def _connect(self, ray: Any) -> None:
         host, _, port = self._address.rpartition(":")
         try:
-            if host and port.isdecimal():  # Ray itself would try for minutes
-                socket.create_connection((host, int(port)), REACH_S).close()
+            if host and port.isdecimal():  # fails in seconds, where Ray would retry for minutes
+                socket.create_connection((host, int(port)), CONNECT_TIMEOUT_S).close()
             ray.init(address=self._address, log_to_driver=False, logging_level=logging.ERROR)
         except (OSError, RuntimeError, ValueError, ImportError, OverflowError) as error:
             raise WorkforceError(
-                f"--ray: received {self._address}, where no Ray cluster answers; accepted is auto or the HOST:PORT of "
-                "a head node, on a machine that `ray start` made a node of it"
+                f"--ray: no Ray cluster answers at {self._address}; give auto or the HOST:PORT of a head node, on a "
+                "machine that `ray start` has joined to the cluster"
             ) from error
 
 
-def gather(jobs: int, ray_address: str | None = None) -> Workforce:
-    """The cluster at this address, or that many local processes: for one job this one."""
+def choose_executor(jobs: int, ray_address: str | None = None) -> Executor:
+    """Return an executor on the cluster at this address, or on this machine. One job runs in this process."""
     if ray_address is not None:
-        return RayCluster(ray_address)
-    return ThisProcess() if jobs == 1 else LocalCores(jobs)
+        return RayExecutor(ray_address)
+    return SerialExecutor() if jobs == 1 else ProcessExecutor(jobs)
 
 
-def _begin(parcel: bytes) -> None:
-    """Prepare a local process: it ends with its parent, however that ends, and leaves Ctrl-C to it."""
+def _prepare_process(payload: bytes) -> None:
+    """Prepare a local process. It ends when its parent ends or is killed, and leaves Ctrl-C to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    prepare, shared = pickle.loads(parcel)  # noqa: S301  # from our own parent
-    _ready[""] = prepare(shared)
+    prepare, shared = pickle.loads(payload)  # noqa: S301  # from the parent process
+    _prepared[""] = prepare(shared)
 
 
 def _end_with_parent() -> None:
@@ -230,20 +230,21 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _do_here(piece: Any) -> Any:
-    return _ready[""](piece)
+def _run_in_process(task: Any) -> Any:
+    return _prepared[""](task)
 
 
-def _do_there(crew: str, version: str, parcel: list[Any], piece: Any) -> Any:
-    """A task of Ray: its process is prepared by the first piece of a crew."""
-    if crew not in _ready:
+def _run_on_node(pool: str, version: str, payload: list[Any], task: Any) -> Any:
+    """Run a task on a node of a Ray cluster. The first task of a worker pool prepares the process."""
+    if pool not in _prepared:
         if version != service.__version__:
             raise WorkforceError(
-                f"a node of the cluster has cazsl {service.__version__}; accepted is {version}, as here"
+                f"a node of the cluster runs cazsl {service.__version__}, but this task was sent by {version}; "
+                "install the same version on every node"
             )
-        os.environ["CUDA_VISIBLE_DEVICES"] = ""  # a task is given one processor and no card, and Ray hides none
-        content: bytes = importlib.import_module("ray").get(parcel[0])
-        prepare, shared = pickle.loads(content)  # noqa: S301  # from the process that called this crew together
-        _ready.clear()  # of a crew before this one
-        _ready[crew] = prepare(shared)
-    return _ready[crew](piece)
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""  # tasks run on one processor and no GPU, but Ray hides no GPU
+        content: bytes = importlib.import_module("ray").get(payload[0])
+        prepare, shared = pickle.loads(content)  # noqa: S301  # from the process that started this pool
+        _prepared.clear()  # frees the data of an earlier pool
+        _prepared[pool] = prepare(shared)
+    return _prepared[pool](task)

@@ -1,4 +1,4 @@
-"""Tables of pushes as Parquet files: read a chunk of rows at a time, written again with predictions beside them."""
+"""Parquet files of pushes: read a chunk of rows at a time, and written again with prediction columns."""
 
 import contextlib
 from collections.abc import Iterator
@@ -20,13 +20,13 @@ _CONTEXT_TYPES: Final = {ContextKind.INDICATOR: "text", ContextKind.VISUAL: f"{V
 
 
 class PushFile:
-    """A Parquet file of pushes; opened to be looked at, read when it is asked for."""
+    """A Parquet file of pushes. Only its metadata is read until ``batches`` is called."""
 
     def __init__(self, path: Path) -> None:
-        """Open it and check the columns that every model wants.
+        """Open the file and check the columns that every model needs.
 
         Raises:
-            DataError: it is no such file.
+            DataError: the file is not Parquet, lacks a pose column, or has a prediction column already.
         """
         self.path = path
         try:
@@ -34,7 +34,7 @@ class PushFile:
         except (OSError, pa.ArrowException) as error:
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise DataError(
-                f"{path}: received what cannot be read as Parquet ({reason}); accepted is a Parquet file"
+                f"{path}: received a file that cannot be read as Parquet ({reason}); accepted is a Parquet file"
             ) from error
         self.schema: pa.Schema = self._file.schema_arrow
         self.rows: int = self._file.metadata.num_rows
@@ -42,13 +42,13 @@ class PushFile:
             self._must_have(name, _is_number, "a column of numbers")
         for name in PREDICTED_COLUMNS:
             if name in self.schema.names:
-                raise DataError(f"{path}: received column {name}; accepted is a table without it, as it is to be added")
+                raise DataError(f"{path}: received column {name}; accepted is a table without it, because it is added")
 
     def kind(self) -> ContextKind:
-        """The kind of context that the columns hold.
+        """Return the kind of context that the columns hold.
 
         Raises:
-            DataError: they hold both.
+            DataError: there is more than one context column.
         """
         found = [kind for kind, name in CONTEXT_COLUMNS.items() if name in self.schema.names]
         if len(found) > 1:
@@ -57,10 +57,10 @@ class PushFile:
         return found[0] if found else ContextKind.NONE
 
     def columns_for(self, kind: ContextKind) -> list[str]:
-        """The columns that a model of this kind wants.
+        """Return the names of the columns that a model of this kind needs.
 
         Raises:
-            DataError: the one with the objects is missing, or of another type.
+            DataError: the context column is missing, or has another type.
         """
         if kind is ContextKind.NONE:
             return [*POSE_COLUMNS]
@@ -69,7 +69,7 @@ class PushFile:
         return [*POSE_COLUMNS, CONTEXT_COLUMNS[kind]]
 
     def batches(self) -> Iterator[pa.RecordBatch]:
-        """All rows and columns, ``CHUNK_ROWS`` at a time.
+        """Read all rows and columns, ``CHUNK_ROWS`` rows at a time.
 
         Raises:
             DataError: the file is damaged.
@@ -89,31 +89,34 @@ class PushFile:
 
 
 def chunk_of(first_row: int, batch: pa.RecordBatch) -> Chunk:
-    """The rows of a batch that holds the columns of one kind of model, and no more."""
+    """Convert a batch with exactly the columns of one kind of model to a chunk."""
     columns = [batch.column(name) for name in POSE_COLUMNS]
     empty = np.column_stack([column.is_null().to_numpy(zero_copy_only=False) for column in columns])
     poses = np.column_stack([_numbers(column) for column in columns])
-    objects: tuple[str | bytes | None, ...] = ()
-    places: IndexArray | None = None
+    contexts: tuple[str | bytes | None, ...] = ()
+    context_index: IndexArray | None = None
     for name in set(CONTEXT_COLUMNS.values()) & set(batch.schema.names):
         given = _plain(batch.column(name)).dictionary_encode(null_encoding="encode")
-        objects, places = tuple(given.dictionary.to_pylist()), given.indices.to_numpy().astype(np.int64)
-    return Chunk(first_row, poses, empty, objects, places)
+        contexts, context_index = tuple(given.dictionary.to_pylist()), given.indices.to_numpy().astype(np.int64)
+    return Chunk(first_row, poses, empty, contexts, context_index)
 
 
 class PredictionFile:
-    """The same table with predictions, written a group of rows at a time; which model made them is in its metadata."""
+    """A table of pushes with predictions, written a group of rows at a time.
+
+    Its metadata name the model, the version and the frame.
+    """
 
     def __init__(self, opened: IO[bytes], schema: pa.Schema, model: Manifest) -> None:
-        said = {"cazsl.model": model.name, "cazsl.version": str(model.version), "cazsl.frame": "object"}
+        metadata = {"cazsl.model": model.name, "cazsl.version": str(model.version), "cazsl.frame": "object"}
         for name in PREDICTED_COLUMNS:
             schema = schema.append(pa.field(name, pa.float32(), nullable=False))
-        self._schema = schema.with_metadata({**(schema.metadata or {}), **said})
+        self._schema = schema.with_metadata({**(schema.metadata or {}), **metadata})
         self._writer = pq.ParquetWriter(opened, self._schema)
         self._waiting: list[pa.RecordBatch] = []
 
     def write(self, batch: pa.RecordBatch, found: FloatArray) -> None:
-        """Take rows with their predictions (n, 6)."""
+        """Add rows with their predictions, (n, 6)."""
         predicted = [pa.array(column) for column in np.ascontiguousarray(found.T)]
         self._waiting.append(pa.RecordBatch.from_arrays([*batch.columns, *predicted], schema=self._schema))
         if len(self._waiting) == GROUP_CHUNKS:
@@ -123,10 +126,10 @@ class PredictionFile:
         return self
 
     def __exit__(self, fault: type[BaseException] | None, *_: object) -> None:
-        """Write what is left, unless something went wrong, and the end of the file."""
+        """Write the remaining rows, unless the block failed, and the end of the file."""
         if fault is None and self._waiting:
             self._write_group()
-        with contextlib.suppress(*([] if fault is None else [OSError])):  # a full disk, of which the fault tells
+        with contextlib.suppress(*([] if fault is None else [OSError])):  # a full disk is reported by the fault already
             self._writer.close()
 
     def _write_group(self) -> None:

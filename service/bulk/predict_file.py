@@ -1,4 +1,4 @@
-"""From a Parquet file of pushes to one with their predictions, by any workforce, in bounded memory."""
+"""Prediction of a Parquet file of pushes into a new file, on any executor, in bounded memory."""
 
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -7,28 +7,30 @@ from pathlib import Path
 import pyarrow as pa
 
 from service.bulk.chunk import ModelParts, predict_chunk
-from service.bulk.executors import Workforce
+from service.bulk.executors import Executor
 from service.bulk.parquet_file import PredictionFile, PushFile, chunk_of
 from service.model.tensors import FloatArray
 from service.storage.disk import new_file
 
-Piece = tuple[int, pa.RecordBatch]  # the number of its first row, and the columns that the model wants
+Task = tuple[int, pa.RecordBatch]  # the number of its first row, and the columns that the model needs
 
 
 def predict_file(
-    source: PushFile, target: Path, model: ModelParts, workforce: Workforce, advance: Callable[[int], None]
+    source: PushFile, target: Path, model: ModelParts, executor: Executor, advance: Callable[[int], None]
 ) -> None:
-    """Write every row of ``source`` with its prediction, in its order, to a new file; ``advance`` hears of rows done.
+    """Write every row of ``source`` with its prediction, in the same order, to a new file.
+
+    ``advance`` is called with the number of rows of each finished task.
 
     Raises:
-        DataError: columns are missing, the file is damaged, or ``target`` cannot be a new file.
-        InvalidRequestError: names the first row that cannot be.
-        WorkforceError: there is nobody to do it.
+        DataError: columns are missing, the file is damaged, or ``target`` cannot be created.
+        InvalidRequestError: a row is invalid. The error names the first one.
+        WorkforceError: the workers cannot be started, or were lost.
     """
     columns = source.columns_for(model.manifest.context_kind)
     sent: deque[pa.RecordBatch] = deque()
 
-    def pieces() -> Iterator[Piece]:
+    def tasks() -> Iterator[Task]:
         row = 0
         for batch in source.batches():
             sent.append(batch)
@@ -38,15 +40,15 @@ def predict_file(
     with (
         new_file(target) as opened,
         PredictionFile(opened, source.schema, model.manifest) as written,
-        workforce.at_work(chunk_predictor, model) as crew,
+        executor.start(chunk_predictor, model) as pool,
     ):
-        for found in crew.in_order(pieces()):
+        for found in pool.in_order(tasks()):
             batch = sent.popleft()
             written.write(batch, found)
             advance(batch.num_rows)
 
 
-def chunk_predictor(parts: ModelParts) -> Callable[[Piece], FloatArray]:
-    """What a process does with each piece, once it has the model."""
+def chunk_predictor(parts: ModelParts) -> Callable[[Task], FloatArray]:
+    """Load the model once per process and return the function that predicts a task."""
     model = parts.load()
-    return lambda piece: predict_chunk(model, chunk_of(*piece))
+    return lambda task: predict_chunk(model, chunk_of(*task))

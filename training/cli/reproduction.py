@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 import torch
 
-from service.bulk.executors import gather
+from service.bulk.executors import choose_executor
 from training.cli.errors import mend
 from training.cli.options import data_option, data_words, views_option
 from training.cli.runs import RUNS
@@ -82,7 +82,7 @@ def reproduce(
         raise click.UsageError("--jobs counts runs on this machine; give either that or --ray")
     if known is not None and len(names) != 1:
         raise click.UsageError("--known holds the runs of one experiment; give its name alone")
-    workforce = gather(jobs or _cores(), ray_address)
+    executor = choose_executor(jobs or _cores(), ray_address)
     from training.paper import report  # matplotlib is slow to load, and no other command of training needs it
 
     for name in EXPERIMENTS if everything else names:
@@ -100,7 +100,7 @@ def reproduce(
         write = report.writer(experiment, runs, rounds, command, out / name)
         path = write(
             reproduction.reproduce(
-                experiment, read, out / name, runs, rounds, workforce=workforce, known=earlier, look=write
+                experiment, read, out / name, runs, rounds, executor=executor, known=earlier, look=write
             )
         )
         click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")

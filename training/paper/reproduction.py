@@ -1,6 +1,6 @@
 """Run an experiment of the paper: every cell and seed is a run folder, and what is finished is not done again.
 
-Runs know nothing of each other and take one thread each, so that any workforce makes the same of them. Data go once to
+Runs know nothing of each other and take one thread each, so that any executor makes the same of them. Data go once to
 each of its processes; a machine that does not see this disk is sent what the run folder holds and sends back what
 changed.
 """
@@ -17,7 +17,7 @@ from typing import Final
 import torch
 from tqdm import tqdm
 
-from service.bulk.executors import ThisProcess, Workforce
+from service.bulk.executors import Executor, SerialExecutor
 from service.errors import CazslError, DataError
 from service.model.tensors import ContextKind
 from training.fitting.evaluation import Evaluation, evaluate
@@ -122,7 +122,7 @@ def reproduce(
     seeds: int,
     epochs: int,
     quiet: bool = False,
-    workforce: Workforce | None = None,
+    executor: Executor | None = None,
     known: Mapping[tuple[Cell, int], Result] | None = None,
     look: Callable[[list[Result]], object] = lambda _: None,
 ) -> list[Result]:
@@ -134,23 +134,23 @@ def reproduce(
 
     Raises:
         DataError: data are missing, or a folder holds runs of other data, recipes or code.
-        WorkforceError: there is nobody to do it.
+        WorkforceError: the workers cannot be started, or were lost.
     """
-    workforce = workforce or ThisProcess()
+    executor = executor or SerialExecutor()
     runs, data = _plan(experiment, read, folder, seeds, epochs)
     results = _taken(runs, data, known or {})
     left = [run for run in runs if (run.cell, run.seed) not in results]
     with (
-        workforce.at_work(trainer, (data, quiet or not workforce.here)) as crew,
+        executor.start(trainer, (data, quiet or not executor.serial)) as pool,
         tqdm(total=len(runs), initial=len(results), desc=experiment.name, unit="run", disable=quiet) as progress,
     ):
 
         def sent() -> Iterator[Run]:
             for run in left:
                 progress.set_postfix_str(run.name)
-                yield run if workforce.shares_disk else replace(run, sent=pack(run.folder))
+                yield run if executor.shares_disk else replace(run, sent=pack(run.folder))
 
-        for run, (result, files) in crew.as_finished(sent()):
+        for run, (result, files) in pool.as_completed(sent()):
             if files:
                 unpack(files, run.folder)
             results[run.cell, run.seed] = result

@@ -1,4 +1,4 @@
-"""Files of pushes: whole, in order, the same to the bit whoever predicts them, and a bad row is named."""
+"""Tests of bulk prediction: whole files, row order, equal bytes on every executor, and the row of an error."""
 
 import sys
 from pathlib import Path
@@ -11,21 +11,21 @@ import pytest
 from click.testing import CliRunner, Result
 
 from service.bulk.chunk import CHUNK_ROWS, PREDICTED_COLUMNS, ModelParts
-from service.bulk.executors import LocalCores, LocalThreads, ThisProcess, Workforce
+from service.bulk.executors import Executor, ProcessExecutor, SerialExecutor, ThreadExecutor
 from service.bulk.parquet_file import PushFile
 from service.bulk.predict_file import predict_file
 from service.cli.main import main
 from service.client import Client
 from service.model.tensors import ContextKind
 from service.registry.registry import Registry
-from tests.clusters import LosesNode, TwoNodes
+from tests.clusters import NodeLossExecutor, TwoNodes
 
 ROWS = 9 * CHUNK_ROWS + 17
 OBJECTS = np.array([f"{a}a{b}b4c1a" for a in "1234" for b in "1234"])
 
 
 def table(rows: int, **columns: Any) -> pa.Table:
-    """Pushes all around 16 objects; columns may be replaced, or left out by None."""
+    """Make a table of random pushes of 16 objects. A keyword replaces a column, or drops it if it is None."""
     rng = np.random.default_rng(7)
     found = {
         "number": np.arange(rows),
@@ -39,7 +39,7 @@ def table(rows: int, **columns: Any) -> pa.Table:
 
 
 def with_value(name: str, row: int, value: object) -> pa.Table:
-    """Pushes with one value replaced."""
+    """Make a table of pushes with one value replaced."""
     column = table(100)[name].to_pylist()
     column[row] = value
     return table(100, **{name: pa.array(column)})
@@ -47,7 +47,7 @@ def with_value(name: str, row: int, value: object) -> pa.Table:
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file of ten chunks, the last one short."""
+    """A file of ten chunks, of which the last one is shorter."""
     path = tmp_path_factory.mktemp("source") / "pushes.parquet"
     pq.write_table(table(ROWS), path, row_group_size=1000)
     return path
@@ -55,28 +55,28 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def model(project_root: Path) -> ModelParts:
-    """The model that ships for descriptors."""
+    """The shipped model for descriptors."""
     verified = Registry(project_root / "models").read("push-indicator", 2)
     return ModelParts(verified.manifest, verified.model)
 
 
 @pytest.fixture(scope="module")
 def expected(source: Path, model: ModelParts) -> bytes:
-    """What one process writes."""
-    return written(source, source.with_name("expected.parquet"), model, ThisProcess())
+    """The file that one process writes."""
+    return written(source, source.with_name("expected.parquet"), model, SerialExecutor())
 
 
-def written(source: Path, target: Path, model: ModelParts, workforce: Workforce) -> bytes:
-    """The bytes of a file of predictions."""
+def written(source: Path, target: Path, model: ModelParts, executor: Executor) -> bytes:
+    """Predict a file and return the bytes of the result."""
     done: list[int] = []
     pushes = PushFile(source)
-    predict_file(pushes, target, model, workforce, done.append)
+    predict_file(pushes, target, model, executor, done.append)
     assert sum(done) == pushes.rows
     return target.read_bytes()
 
 
 def predict(source: pa.Table | Path, target: Path, registry: Path, *options: str) -> Result:
-    """Run the command as a person would, over a file or a table that is made one."""
+    """Run the command on a file, or on a table that is written to a file first."""
     if isinstance(source, pa.Table):
         path = target.with_name("in.parquet")
         pq.write_table(source, path)
@@ -87,14 +87,14 @@ def predict(source: pa.Table | Path, target: Path, registry: Path, *options: str
 
 @pytest.fixture
 def registry(project_root: Path) -> Path:
-    """The registry that ships."""
+    """The shipped registry."""
     return project_root / "models"
 
 
 def test_rows_keep_their_order_and_get_what_the_service_answers(
     source: Path, expected: bytes, project_root: Path
 ) -> None:
-    """Every column is kept; predictions are those of a request, up to rounding."""
+    """Every column and the order of rows are kept, and predictions equal those of a request up to rounding."""
     found, given = pq.read_table(pa.BufferReader(expected)), pq.read_table(source)
     assert found.select(given.schema.names).equals(given)
     rows = slice(CHUNK_ROWS - 50, CHUNK_ROWS + 50)
@@ -107,37 +107,37 @@ def test_rows_keep_their_order_and_get_what_the_service_answers(
     np.testing.assert_allclose(predicted, np.hstack([answer.mean, answer.std]), rtol=1e-4, atol=1e-6)
 
 
-def test_the_file_says_which_model_made_it(expected: bytes) -> None:
-    """Name and version, and the frame of all poses."""
-    said = pq.read_schema(pa.BufferReader(expected)).metadata
-    assert {key: said[key.encode()] for key in ("cazsl.model", "cazsl.version", "cazsl.frame")} == {
+def test_file_metadata_name_the_model(expected: bytes) -> None:
+    """The metadata of the file hold the model, its version and the frame of the poses."""
+    metadata = pq.read_schema(pa.BufferReader(expected)).metadata
+    assert {key: metadata[key.encode()] for key in ("cazsl.model", "cazsl.version", "cazsl.frame")} == {
         "cazsl.model": b"push-indicator",
         "cazsl.version": b"2",
         "cazsl.frame": b"object",
     }
 
 
-@pytest.mark.parametrize("workforce", [LocalThreads(3), LocalCores(2)], ids=["threads", "processes"])
+@pytest.mark.parametrize("executor", [ThreadExecutor(3), ProcessExecutor(2)], ids=["threads", "processes"])
 def test_several_workers_write_the_same_bytes(
-    source: Path, expected: bytes, model: ModelParts, tmp_path: Path, workforce: Workforce
+    source: Path, expected: bytes, model: ModelParts, tmp_path: Path, executor: Executor
 ) -> None:
-    """As one."""
-    assert written(source, tmp_path / "out.parquet", model, workforce) == expected
+    """Several workers write the same bytes as one."""
+    assert written(source, tmp_path / "out.parquet", model, executor) == expected
 
 
 def test_a_cluster_that_loses_a_node_writes_the_same_bytes(
     source: Path, expected: bytes, model: ModelParts, two_nodes: TwoNodes, tmp_path: Path
 ) -> None:
-    """Half-way, while both nodes predict."""
-    workforce = LosesNode(two_nodes, tmp_path, held=5)
-    assert written(source, tmp_path / "out.parquet", model, workforce) == expected
-    assert workforce.done_twice() == 1
+    """A cluster that loses one of its two nodes while both predict writes the same bytes."""
+    executor = NodeLossExecutor(two_nodes, tmp_path, held=5)
+    assert written(source, tmp_path / "out.parquet", model, executor) == expected
+    assert executor.run_twice() == 1
 
 
 def test_the_command_uses_the_cluster_that_it_is_given(
     source: Path, expected: bytes, ray_cluster: TwoNodes, tmp_path: Path, registry: Path
 ) -> None:
-    """The same bytes again, and the line at the end says by whom."""
+    """The command with --ray writes the same bytes and prints the address of the cluster."""
     target = tmp_path / "out.parquet"
     arguments = ["predict", "--parquet", str(source), str(target), "--ray", ray_cluster.address]
     result = CliRunner().invoke(main, [*arguments, "--registry", str(registry)])
@@ -146,8 +146,8 @@ def test_the_command_uses_the_cluster_that_it_is_given(
     assert target.read_bytes() == expected
 
 
-def test_the_command_says_how_fast_it_was_and_what_comes_next(tmp_path: Path, registry: Path) -> None:
-    """Rows, model, rows per second, where to look."""
+def test_command_prints_its_speed_and_the_next_step(tmp_path: Path, registry: Path) -> None:
+    """The command prints rows, model, rows per second and the path of the result."""
     result = predict(table(100), tmp_path / "out.parquet", registry)
     assert result.exit_code == 0, result.output
     assert result.stdout.startswith("100 pushes by push-indicator@2 in ")
@@ -169,18 +169,18 @@ def test_the_command_says_how_fast_it_was_and_what_comes_next(tmp_path: Path, re
     ],
     ids=["no object", "categories", "views", "views of fixed size", "both", "other numbers", "version", "ignored"],
 )
-def test_the_columns_and_the_option_say_which_model_predicts(
+def test_model_is_chosen_by_the_columns_or_the_option(
     columns: dict[str, Any], options: tuple[str, ...], by: str, tmp_path: Path, registry: Path
 ) -> None:
-    """The champion for what is known of the objects, unless one is named."""
+    """The champion for the context column predicts, unless --model names another."""
     result = predict(table(5, **columns), tmp_path / "out.parquet", registry, *options)
     assert result.exit_code == 0, result.output
     assert f"5 pushes by {by} in " in result.stdout
     assert pq.read_table(tmp_path / "out.parquet").num_rows == 5
 
 
-def test_no_pushes_are_predicted_as_none(tmp_path: Path, registry: Path) -> None:
-    """A file without rows gets one without rows."""
+def test_file_without_rows_gives_a_file_without_rows(tmp_path: Path, registry: Path) -> None:
+    """A file without rows is predicted to a file without rows that has all columns."""
     result = predict(table(5).slice(0, 0), tmp_path / "out.parquet", registry)
     assert result.exit_code == 0, result.output
     assert pq.read_schema(tmp_path / "out.parquet").names[-6:] == [*PREDICTED_COLUMNS]
@@ -197,11 +197,17 @@ def test_no_pushes_are_predicted_as_none(tmp_path: Path, registry: Path) -> None
             with_value("angle_rad", 3, float("-inf")),
             "row 3 (counted from 0), column angle_rad: received -inf; accepted",
         ),
-        (with_value("y_m", 99, None), "row 99 (counted from 0), column y_m: received nothing; accepted is a finite"),
+        (
+            with_value("y_m", 99, None),
+            "row 99 (counted from 0), column y_m: received an empty cell; accepted is a finite",
+        ),
         (with_value("y_m", 5, 1.5), "row 5 (counted from 0), column y_m: received 1.5 m; accepted is -1 to 1 m"),
         (with_value("descriptor", 8, "1a2b"), "row 8 (counted from 0), column descriptor: received 4 characters"),
         (with_value("descriptor", 8, "1a2b3c5a"), "column descriptor side 4: received an unknown shape; accepted is"),
-        (with_value("descriptor", 8, None), "row 8 (counted from 0), column descriptor: received nothing; accepted is"),
+        (
+            with_value("descriptor", 8, None),
+            "row 8 (counted from 0), column descriptor: received an empty cell; accepted is",
+        ),
         (table(5, descriptor=None, visual=[b"short"] * 5), "row 0 (counted from 0), column visual: received 5 bytes"),
         (
             table(5, x_m=None),
@@ -217,8 +223,8 @@ def test_no_pushes_are_predicted_as_none(tmp_path: Path, registry: Path) -> None
     ],
     ids=str,
 )
-def test_what_cannot_be_predicted_is_named(pushes: pa.Table, message: str, tmp_path: Path, registry: Path) -> None:
-    """Row, column, what stands there and what may; one line, and no file."""
+def test_invalid_row_or_column_is_named(pushes: pa.Table, message: str, tmp_path: Path, registry: Path) -> None:
+    """An invalid row or column is one line with its place, the value and the accepted ones, and no file is written."""
     result = predict(pushes, tmp_path / "out.parquet", registry)
     assert result.exit_code == 1
     assert message in result.stderr
@@ -226,19 +232,19 @@ def test_what_cannot_be_predicted_is_named(pushes: pa.Table, message: str, tmp_p
     assert [path.name for path in tmp_path.iterdir()] == ["in.parquet"]
 
 
-def test_the_first_of_many_bad_rows_is_named(source: Path, model: ModelParts, tmp_path: Path) -> None:
-    """Whichever process finds one first."""
+def test_first_of_several_invalid_rows_is_named(source: Path, model: ModelParts, tmp_path: Path) -> None:
+    """The error names the first invalid row, whichever process finds one first."""
     pushes = pq.read_table(source).to_pydict()
     for row in (3 * CHUNK_ROWS + 5, 3 * CHUNK_ROWS + 6, 4 * CHUNK_ROWS):
         pushes["x_m"][row] = 2.0
     pq.write_table(pa.table(pushes), tmp_path / "in.parquet")
     with pytest.raises(Exception, match=f"^row {3 * CHUNK_ROWS + 5} "):
-        written(tmp_path / "in.parquet", tmp_path / "out.parquet", model, LocalCores(2))
+        written(tmp_path / "in.parquet", tmp_path / "out.parquet", model, ProcessExecutor(2))
     assert [path.name for path in tmp_path.iterdir()] == ["in.parquet"]
 
 
-def test_another_file_is_never_overwritten(tmp_path: Path, registry: Path) -> None:
-    """Nor is the source itself."""
+def test_existing_file_is_never_overwritten(tmp_path: Path, registry: Path) -> None:
+    """An existing file under the name of the result is an error, and keeps its content."""
     (tmp_path / "out.parquet").write_text("mine", encoding="utf-8")
     result = predict(table(5), tmp_path / "out.parquet", registry)
     assert result.exit_code == 1
@@ -246,8 +252,8 @@ def test_another_file_is_never_overwritten(tmp_path: Path, registry: Path) -> No
     assert (tmp_path / "out.parquet").read_text(encoding="utf-8") == "mine"
 
 
-def test_what_is_no_parquet_file_is_told(tmp_path: Path, registry: Path) -> None:
-    """Neither something else, nor nothing, nor a folder that is not there."""
+def test_unreadable_source_or_target_is_one_line(tmp_path: Path, registry: Path) -> None:
+    """A source that is not a Parquet file, or a missing folder of the result, is an error of one line."""
     (tmp_path / "text").write_text("x_m,y_m", encoding="utf-8")
     for source in (tmp_path / "text", tmp_path / "gone", tmp_path):
         result = predict(source, tmp_path / "out.parquet", registry)
@@ -263,18 +269,18 @@ def test_what_is_no_parquet_file_is_told(tmp_path: Path, registry: Path) -> None
     [["0", "0"], ["--jobs", "2", "--", "0", "0", "0"], ["--ray", "auto", "1a2b3c4a", "0", "0", "0"], ["a", "b", "c"]],
     ids=["too few", "jobs", "ray", "no numbers"],
 )
-def test_options_of_files_are_for_files(arguments: list[str]) -> None:
-    """The command line is wrong."""
+def test_options_for_files_need_a_file(arguments: list[str]) -> None:
+    """Options for files without --parquet, and wrong arguments, exit with status 2."""
     assert CliRunner().invoke(main, ["predict", *arguments]).exit_code == 2
 
 
-def test_a_kind_of_context_is_found_by_its_column(source: Path) -> None:
-    """Text is an indicator."""
+def test_context_kind_is_found_by_its_column(source: Path) -> None:
+    """A descriptor column means an indicator context."""
     assert PushFile(source).kind() is ContextKind.INDICATOR
 
 
-def test_a_missing_extra_is_told_in_one_line(tmp_path: Path, registry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With what to install."""
+def test_missing_extra_is_one_line(tmp_path: Path, registry: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A missing extra is an error of one line that says how to install it."""
     monkeypatch.setitem(sys.modules, "ray", None)
     target = tmp_path / "out.parquet"
     pq.write_table(table(5), tmp_path / "in.parquet")

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from service.bulk.executors import LocalCores, Workforce
+from service.bulk.executors import Executor, ProcessExecutor
 from service.errors import DataError
 from service.model.tensors import ContextKind
-from tests.clusters import LosesNode, TwoNodes
+from tests.clusters import NodeLossExecutor, TwoNodes
 from training.fitting.evaluation import evaluate
 from training.fitting.run_folder import CHECKPOINT_FILE, COST_FILE, METRICS_FILE, WEIGHTS_FILE, load_run
 from training.fitting.samples import TrainingData
@@ -183,9 +183,9 @@ def alone(small: Experiment, viewed_pushes: Pushes, tmp_path_factory: pytest.Tem
     return folder
 
 
-def measured(small: Experiment, pushes: Pushes, folder: Path, workforce: Workforce | None = None) -> list[object]:
+def measured(small: Experiment, pushes: Pushes, folder: Path, executor: Executor | None = None) -> list[object]:
     """Figures of two seeds, without what their training took."""
-    results = reproduce(small, Reader(pushes), folder, seeds=2, epochs=2, quiet=True, workforce=workforce)
+    results = reproduce(small, Reader(pushes), folder, seeds=2, epochs=2, quiet=True, executor=executor)
     return [replace(result, cost={}) for result in results]
 
 
@@ -202,7 +202,7 @@ def test_processes_make_the_same_runs_to_the_bit(
     small: Experiment, viewed_pushes: Pushes, alone: Path, tmp_path: Path
 ) -> None:
     """Figures, weights and records, in the same order."""
-    found = measured(small, viewed_pushes, tmp_path, LocalCores(2))
+    found = measured(small, viewed_pushes, tmp_path, ProcessExecutor(2))
 
     assert found == measured(small, viewed_pushes, alone)
     assert files(tmp_path) == files(alone)
@@ -213,10 +213,10 @@ def test_a_cluster_that_loses_a_node_makes_the_same_runs_to_the_bit(
 ) -> None:
     """Half-way, while both nodes train; the folders come home whole, and nothing is left to do."""
     (tmp_path / "marks").mkdir()
-    workforce = LosesNode(two_nodes, tmp_path / "marks", held=4)
-    found = measured(small, viewed_pushes, tmp_path / "out", workforce)
+    executor = NodeLossExecutor(two_nodes, tmp_path / "marks", held=4)
+    found = measured(small, viewed_pushes, tmp_path / "out", executor)
 
-    assert workforce.done_twice() == 1
+    assert executor.run_twice() == 1
     assert found == measured(small, viewed_pushes, alone)
     assert files(tmp_path / "out") == files(alone)
     before = {path: path.read_bytes() for path in (tmp_path / "out").rglob(COST_FILE)}
@@ -232,7 +232,7 @@ def test_a_run_that_fails_is_named(small: Experiment, viewed_pushes: Pushes, tmp
     (killed / "config.json").write_text("{}", encoding="utf-8")
 
     with pytest.raises(DataError, match=r"^different-objects, fcn, seed 0: .* records another run"):
-        measured(small, viewed_pushes, tmp_path, LocalCores(2))
+        measured(small, viewed_pushes, tmp_path, ProcessExecutor(2))
 
 
 def test_what_nobody_foresaw_names_the_run_too(small: Experiment, viewed_pushes: Pushes, tmp_path: Path) -> None:
