@@ -1,4 +1,4 @@
-"""A server that answers as it was told, byte by byte if need be: what a client must survive."""
+"""A server that sends given bytes, one part at a time, to test clients against invalid answers."""
 
 import socket
 import threading
@@ -9,27 +9,27 @@ from dataclasses import dataclass, field
 from tests.serving import PATIENCE_S
 
 Reply = Sequence[bytes]
-"""Parts that are sent one by one, each after the client's wait for it could have ended; empty: hang up at once."""
+"""Parts that are sent one by one with a pause between them. An empty sequence closes the connection at once."""
 BETWEEN_PARTS_S = 0.05
 
 
 @dataclass
-class Seen:
-    """The heads of the requests that came."""
+class Received:
+    """Heads of the received requests."""
 
     heads: list[str] = field(default_factory=list)
 
 
 def reply(status: str, content: bytes, *headers: str) -> list[bytes]:
-    """A whole answer, as one part."""
+    """Build a whole answer as one part."""
     lines = [f"HTTP/1.1 {status}", f"Content-Length: {len(content)}", "Connection: close", *headers]
     return ["\r\n".join(lines).encode() + b"\r\n\r\n" + content]
 
 
 @contextmanager
-def hostile(replies: Sequence[Reply]) -> Iterator[tuple[str, Seen]]:
-    """A server that gives these replies, the last one over and over; its address, and what it saw."""
-    seen, done = Seen(), threading.Event()
+def hostile(replies: Sequence[Reply]) -> Iterator[tuple[str, Received]]:
+    """Run a server that sends these replies and repeats the last one. Yield its address and the received requests."""
+    received, done = Received(), threading.Event()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         listener.settimeout(PATIENCE_S)
 
@@ -42,32 +42,34 @@ def hostile(replies: Sequence[Reply]) -> Iterator[tuple[str, Seen]]:
                 if done.is_set():
                     connection.close()
                     return
-                _answer(connection, replies[min(len(seen.heads), len(replies) - 1)], seen, done)
+                _answer(connection, replies[min(len(received.heads), len(replies) - 1)], received, done)
 
         thread = threading.Thread(target=answer)
         thread.start()
         try:
-            yield f"http://127.0.0.1:{listener.getsockname()[1]}", seen
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}", received
         finally:
             done.set()
             socket.create_connection(listener.getsockname()).close()  # wakes the thread
             thread.join()
 
 
-def _answer(connection: socket.socket, parts: Reply, seen: Seen, done: threading.Event) -> None:
+def _answer(connection: socket.socket, parts: Reply, received: Received, done: threading.Event) -> None:
     with connection:
         connection.settimeout(PATIENCE_S)
         request = b""
         while b"\r\n\r\n" not in request:
             request += connection.recv(65536)
-        seen.heads.append(request.partition(b"\r\n\r\n")[0].decode())
+        received.heads.append(request.partition(b"\r\n\r\n")[0].decode())
         try:
             for part in parts:
                 connection.sendall(part)
                 if len(parts) > 1 and done.wait(BETWEEN_PARTS_S):
                     return
             connection.shutdown(socket.SHUT_WR)
-            while connection.recv(65536):  # what is still coming of the request, lest closing resets the connection
+            while connection.recv(
+                65536
+            ):  # reads the rest of the request, because closing earlier would reset the connection
                 pass
         except OSError:
-            return  # the client had enough
+            return  # the client closed the connection

@@ -1,13 +1,16 @@
-"""The service from Python: arrays in, arrays out; blocking or asyncio, over HTTP or in this process.
+"""Python client of the service: numpy arrays in and out, blocking or asyncio, over HTTP or in this process.
 
     from service.client import Client
 
     with Client("http://localhost:8000") as client:
         predictions = client.predict_batch(pushers, "1a2b3c4a")     # pushers (n, 3); .mean and .std (n, 3)
 
-The distribution is ``cazsl``. Neither torch nor onnxruntime is loaded, unless predictions are made in this process.
-Calls point downward: ``blocking`` and ``asynchronous`` share ``base``, which sends the requests of ``calls``; ``local``
-answers them in this process and is imported only by ``Client.local``.
+The distribution is called ``cazsl``. torch is never loaded, and onnxruntime only by ``Client.local``.
+
+``blocking`` and ``asynchronous`` are the two clients, and ``base`` is their common part. ``calls`` builds requests and
+parses answers, ``retries`` decides on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this
+process and is imported only by ``Client.local``. Calls point downward: the package imports ``service.schemas``,
+``service.model`` and ``service.errors``, and ``local`` also imports the packages that answer a request.
 """
 
 from service.client.asynchronous import AsyncClient

@@ -1,4 +1,4 @@
-"""The client for asyncio; see ``service.client``, from where it is imported."""
+"""Client for asyncio."""
 
 import asyncio
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import httpx2
 import numpy.typing as npt
 
 from service.client import calls
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, Caller, add_part
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
 from service.client.calls import Call, Context, Image, Predictions
 from service.client.retries import Retries, retry_after_s
 from service.schemas.contexts import VisualContextBody
@@ -19,8 +19,8 @@ from service.schemas.predictions import PredictResponse
 T = TypeVar("T")
 
 
-class AsyncClient(Caller):
-    """The same for asyncio: every method as in ``Client``, to be awaited; one client serves any number of tasks."""
+class AsyncClient(ClientBase):
+    """A client for asyncio, with the methods of ``Client`` as coroutines. One client serves any number of tasks."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class AsyncClient(Caller):
 
     @classmethod
     def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
-        """See ``Client.local``; predictions run in threads."""
+        """See ``Client.local``. Predictions run in threads."""
         from service.client.local import InProcess  # as in Client
 
         http = httpx2.AsyncClient(transport=InProcess.over(registry, require_signature))
@@ -51,7 +51,7 @@ class AsyncClient(Caller):
         await self.close()
 
     async def close(self) -> None:
-        """Close the connections."""
+        """Close all connections."""
         await self._http.aclose()
 
     async def predict(
@@ -115,7 +115,7 @@ class AsyncClient(Caller):
             await asyncio.sleep(pause_s)
 
     async def _exchange(self, call: Call[T]) -> tuple[httpx2.Response, bytes]:
-        """One attempt, bounded as a whole."""
+        """Send one request and read the whole answer within the timeout."""
         content = bytearray()
         try:
             async with (
@@ -125,7 +125,7 @@ class AsyncClient(Caller):
                 async for part in response.aiter_raw():
                     add_part(content, part)
         except (TimeoutError, httpx2.TimeoutException) as error:
-            raise self._late() from error
+            raise self._timed_out() from error
         except httpx2.TransportError as error:
             raise self._unreachable(error) from error
         return response, bytes(content)

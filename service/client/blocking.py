@@ -1,4 +1,4 @@
-"""The blocking client; see ``service.client``, from where it is imported."""
+"""Blocking client."""
 
 import time
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ import httpx2
 import numpy.typing as npt
 
 from service.client import calls
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, Caller, add_part
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
 from service.client.calls import Call, Context, Image, Predictions
 from service.client.retries import Retries, retry_after_s
 from service.schemas.contexts import VisualContextBody
@@ -19,20 +19,20 @@ from service.schemas.predictions import PredictResponse
 T = TypeVar("T")
 
 
-class Client(Caller):
-    """A blocking client; may be shared by threads, and keeps connections open until it is closed.
+class Client(ClientBase):
+    """A blocking client. Threads may share it. Connections stay open until it is closed.
 
     Args:
-        url: of the service.
-        key: an API key, where the service wants one.
-        timeout_s: for each attempt, in s: to connect, to send, and to have the whole answer.
-        retries: how often and how soon to ask again after a 503, and after nothing else.
-        http: an httpx client of your own, for TLS, proxies or other transports; it is closed with this one.
+        url: address of the service.
+        key: API key, if the service requires one.
+        timeout_s: limit of each attempt, in s: connect, send, and read the whole answer.
+        retries: number and pauses of retries after a 503. No other answer is retried.
+        http: your own httpx client, for TLS, proxies or other transports. It is closed with this client.
 
     Every method raises:
-        ProblemError: the service refused; ``code``, ``detail`` and ``faults`` say why.
-        UnreachableError: nobody answered, or TimedOutError: not in time.
-        UnreadableAnswerError: what answered is no CAZSL service.
+        ProblemError: the service refused the request. ``code``, ``detail`` and ``faults`` give the reason.
+        UnreachableError: there was no answer. Its subclass TimedOutError: there was none in time.
+        UnreadableAnswerError: the answer is not that of a CAZSL service.
     """
 
     def __init__(
@@ -49,16 +49,17 @@ class Client(Caller):
 
     @classmethod
     def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
-        """A client without a service: the models of a registry as it is now, answering in this process.
+        """Create a client that predicts in this process, with the present models of a registry.
 
         Args:
             registry: a folder of models, or s3://bucket/prefix.
-            require_signature: public keys of which one must have signed a version, as CAZSL_REQUIRE_SIGNATURE.
+            require_signature: public keys (PEM files, separated as in PATH). One of them must have signed a version.
 
         Raises:
-            RegistryError, ModelNotReadyError: the registry, or every model in it, cannot be used.
+            RegistryError: the registry or a key cannot be read.
+            ModelNotReadyError: no model of the registry can be loaded.
         """
-        from service.client.local import InProcess  # loads the runtime, which those who ask a service need not have
+        from service.client.local import InProcess  # loads onnxruntime, which a client of a service does not need
 
         http = httpx2.Client(transport=InProcess.over(registry, require_signature))
         return cls(IN_PROCESS_URL, retries=ONE_ATTEMPT, http=http)
@@ -72,7 +73,7 @@ class Client(Caller):
         self.close()
 
     def close(self) -> None:
-        """Close the connections."""
+        """Close all connections."""
         self._http.close()
 
     def predict(
@@ -83,15 +84,16 @@ class Client(Caller):
         model: str | None = None,
         object_pose: npt.ArrayLike | None = None,
     ) -> PredictResponse:
-        """Where does the object end up after this push, and how sure is that?
+        """Predict the object's pose after one push, with its uncertainty.
 
         Args:
-            pusher: (3,) x and y of the pusher's tip in m, direction of the push in rad; in the object's frame, or in
-                the world where ``object_pose`` is given.
-            context: the object: a descriptor such as ``1a2b3c4a``, a ``ContextBody``, or what ``make_context`` gave;
-                None for models that know nothing of it.
-            model: name, name@alias or name@version; None: the champion for this kind of context.
-            object_pose: (3,) where the object is in the world; the answer is then in it too, with its covariance.
+            pusher: (3,) x and y of the pusher's tip in m, direction of the push in rad, in the object's frame. With
+                ``object_pose`` it is in the world frame.
+            context: the object: a descriptor such as ``1a2b3c4a``, a ``ContextBody``, or the result of
+                ``make_context``. None for models without context.
+            model: name, name@alias or name@version. None selects the champion for this kind of context.
+            object_pose: (3,) pose of the object in the world frame. The answer is then in the world frame, with its
+                covariance.
         """
         return self._send(calls.predict(pusher, context, model, object_pose))
 
@@ -104,14 +106,14 @@ class Client(Caller):
         model: str | None = None,
         object_poses: npt.ArrayLike | None = None,
     ) -> Predictions:
-        """The same for up to 10,000 pushes.
+        """Predict up to 10,000 pushes.
 
         Args:
             pushers: (n, 3) as in ``predict``.
             contexts: one object for all pushes, one per push, or several with an index per push.
-            context_index: (n,) for each push the place of its object in ``contexts``, from 0.
+            context_index: (n,) index of each push's object in ``contexts``, from 0.
             model: as in ``predict``.
-            object_poses: (1, 3) or (n, 3) where the objects are in the world, as in ``predict``.
+            object_poses: (1, 3) or (n, 3) poses of the objects in the world frame, as in ``predict``.
         """
         return self._send(calls.predict_batch(pushers, contexts, context_index, model, object_poses))
 
@@ -123,26 +125,26 @@ class Client(Caller):
         model: str | None = None,
         object_poses: npt.ArrayLike | None = None,
     ) -> Predictions:
-        """The same for pushes (n, 3) of the object in an image: a file's path, or its content.
+        """Predict pushes (n, 3) of the object in an image, given as a path or as the content of a file.
 
-        An image that is asked about again is better turned into a context once: ``make_context``.
+        For several calls with one image, convert it once with ``make_context``.
         """
         return self._send(calls.predict_image(image, pushers, model, object_poses))
 
     def make_context(self, image: Image) -> VisualContextBody:
-        """What does a model see of this image? To be given to predictions as their context, and to be looked at."""
+        """Convert an image to the visual context that a model receives, for predictions and for inspection."""
         return self._send(calls.make_context(image))
 
     def list_models(self) -> ModelsBody:
-        """Every model that is served, with its versions and aliases."""
+        """List all served models with their versions and aliases."""
         return self._send(calls.list_models())
 
     def show_model(self, name: str) -> ModelBody:
-        """One model."""
+        """Return one model with its versions and aliases."""
         return self._send(calls.show_model(name))
 
     def show_version(self, name: str, version: int) -> ModelVersionDetailBody:
-        """One version, with its manifest and its card."""
+        """Return one version with its manifest and its card."""
         return self._send(calls.show_version(name, version))
 
     def _send(self, call: Call[T]) -> T:
@@ -156,7 +158,7 @@ class Client(Caller):
             time.sleep(pause_s)
 
     def _exchange(self, call: Call[T]) -> tuple[httpx2.Response, bytes]:
-        """One attempt; each wait for bytes is bounded, and so is all of them together."""
+        """Send one request and read the whole answer. Each wait for bytes, and their sum, is bounded by the timeout."""
         end_s = time.monotonic() + self._timeout_s
         content = bytearray()
         try:
@@ -164,9 +166,9 @@ class Client(Caller):
                 for part in response.iter_raw():
                     add_part(content, part)
                     if time.monotonic() > end_s:
-                        raise self._late()
+                        raise self._timed_out()
         except httpx2.TimeoutException as error:
-            raise self._late() from error
+            raise self._timed_out() from error
         except httpx2.TransportError as error:
             raise self._unreachable(error) from error
         return response, bytes(content)

@@ -1,6 +1,6 @@
-"""What a client may ask, without saying how it is sent: arrays and files to requests, answers to arrays and bodies.
+"""Requests and answers of the clients: arrays and files to request bodies, answers to arrays and bodies.
 
-Both clients, blocking and asyncio, send these; so does the one in process.
+This module sends no requests. The blocking client, the asyncio client and the client in this process share it.
 """
 
 import os
@@ -17,6 +17,7 @@ from pydantic import ValidationError
 
 from service.client.errors import ProblemError, UnreadableAnswerError
 from service.errors import FieldFault
+from service.model.reference import is_name
 from service.schemas.body import Body
 from service.schemas.contexts import ContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionBody, ModelVersionDetailBody
@@ -27,9 +28,10 @@ T = TypeVar("T")
 B = TypeVar("B", bound=Body)
 Numbers = npt.NDArray[np.floating[Any]]
 Context = str | ContextBody | VisualContextBody
-"""What is known of an object: a descriptor, any form of ``ContextBody``, or what ``make_context`` saw in an image."""
+"""Context of an object: a descriptor, any form of ``ContextBody``, or the result of ``make_context``."""
 Image = bytes | str | os.PathLike[str]
-"""The content of a PNG, JPEG or WebP file, or where the file is."""
+"""The content of a PNG, JPEG or WebP file, or its path."""
+NAME_SYNTAX: Final = "1 to 64 lower-case letters, digits, '-' and '_', not starting with '-' or '_'"
 _POSE_PARTS: Final = 3
 _REAL_KINDS: Final = "fiu"
 _PHRASES: Final = {int(status): status.phrase for status in HTTPStatus}
@@ -41,13 +43,13 @@ class Predictions:
     """Gaussians over the object's pose after each push, in the order of the request.
 
     Attributes:
-        model: which model and version answered.
-        frame: ``object`` or ``world``, of all poses here.
-        mean: (n, 3) x, y, angle in m, m, rad; the angle in (-pi, pi].
+        model: model and version that answered.
+        frame: ``object`` or ``world``, the frame of all poses here.
+        mean: (n, 3) x, y, angle in m, m, rad. The angle is in (-pi, pi].
         std: (n, 3) standard deviations in m, m, rad.
-        covariance: (n, 3, 3) in the world frame, where x and y go together; else None.
+        covariance: (n, 3, 3) in the world frame, where x and y are correlated. None in the object's frame.
 
-    The numbers are float32 in the object's frame, exactly the model's, and float64 in the world.
+    The numbers are float32 in the object's frame, exactly the model's, and float64 in the world frame.
     """
 
     model: ModelVersionBody
@@ -59,20 +61,20 @@ class Predictions:
 
 @dataclass(frozen=True, slots=True)
 class Call(Generic[T]):
-    """One request, and how its answer is read."""
+    """One request and the parser of its answer."""
 
     method: str
     path: str
     parse: Callable[[bytes], T]
     body: Mapping[str, Any]
-    """As httpx takes it: ``content`` and ``headers``, or ``data`` and ``files``."""
+    """Body as keyword arguments of httpx: ``content`` and ``headers``, or ``data`` and ``files``."""
 
     def read(self, status: int, content: bytes, retry_after_s: float | None) -> T:
-        """The answer.
+        """Parse the answer.
 
         Raises:
-            ProblemError: it is a refusal.
-            UnreadableAnswerError: it is no answer of the service.
+            ProblemError: the service refused the request.
+            UnreadableAnswerError: the answer is not that of a CAZSL service.
         """
         if status != HTTPStatus.OK:
             raise _problem(status, content, retry_after_s)
@@ -82,15 +84,15 @@ class Call(Generic[T]):
             fault = error.errors(include_url=False, include_input=False)[0]
             where = ".".join(str(part) for part in fault["loc"]) or "the answer"
             raise UnreadableAnswerError(
-                f"{self.path} answered something else: {where}: {fault['msg']}; is this a CAZSL service?"
+                f"{self.path}: the answer cannot be read: {where}: {fault['msg']}; is this a CAZSL service?"
             ) from error
 
 
 def predict(
     pusher: npt.ArrayLike, context: Context | None, model: str | None, object_pose: npt.ArrayLike | None
 ) -> Call[PredictResponse]:
-    """One push."""
-    document: dict[str, Any] = {"pusher": _pose(pusher, "pusher"), **_asked(model)}
+    """Build the request for one push."""
+    document: dict[str, Any] = {"pusher": _pose(pusher, "pusher"), **_model_field(model)}
     if context is not None:
         document["context"] = _context(context)
     if object_pose is not None:
@@ -105,14 +107,14 @@ def predict_batch(
     model: str | None,
     object_poses: npt.ArrayLike | None,
 ) -> Call[Predictions]:
-    """Many pushes."""
+    """Build the request for many pushes."""
     rows = _rows(pushers, "pushers")
-    document: dict[str, Any] = {"pushers": rows, **_asked(model)}
+    document: dict[str, Any] = {"pushers": rows, **_model_field(model)}
     if contexts is not None:
         several = [contexts] if isinstance(contexts, Context) else contexts
         document["contexts"] = [_context(context) for context in several]
     if context_index is not None:
-        document["context_index"] = _places(context_index)
+        document["context_index"] = _index(context_index)
     if object_poses is not None:
         document["object_poses"] = _rows(object_poses, "object_poses")
     return _post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)))
@@ -121,9 +123,9 @@ def predict_batch(
 def predict_image(
     image: Image, pushers: npt.ArrayLike, model: str | None, object_poses: npt.ArrayLike | None
 ) -> Call[Predictions]:
-    """Many pushes of the object in an image."""
+    """Build the request for many pushes of the object in an image."""
     rows = _rows(pushers, "pushers")
-    fields = {"pushers": _dump(rows), **_asked(model)}
+    fields = {"pushers": _dump(rows), **_model_field(model)}
     if object_poses is not None:
         fields["object_poses"] = _dump(_rows(object_poses, "object_poses"))
     body = {"data": fields, "files": {"image": ("image", _image(image))}}
@@ -131,22 +133,22 @@ def predict_image(
 
 
 def make_context(image: Image) -> Call[VisualContextBody]:
-    """What a model sees of an image."""
+    """Build the request for the visual context of an image."""
     return Call("POST", "/v1/contexts", _reader(VisualContextBody), {"files": {"image": ("image", _image(image))}})
 
 
 def list_models() -> Call[ModelsBody]:
-    """What is served."""
+    """Build the request for all models."""
     return Call("GET", "/v1/models", _reader(ModelsBody), {})
 
 
 def show_model(name: str) -> Call[ModelBody]:
-    """One model."""
+    """Build the request for one model."""
     return Call("GET", f"/v1/models/{_segment(name)}", _reader(ModelBody), {})
 
 
 def show_version(name: str, version: int) -> Call[ModelVersionDetailBody]:
-    """One version, with its manifest and card."""
+    """Build the request for one version with its manifest and card."""
     return Call("GET", f"/v1/models/{_segment(name)}/versions/{version:d}", _reader(ModelVersionDetailBody), {})
 
 
@@ -158,14 +160,14 @@ def _dump(document: object) -> bytes:
     return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
 
 
-def _asked(model: str | None) -> dict[str, Any]:
+def _model_field(model: str | None) -> dict[str, Any]:
     return {} if model is None else {"model": model}
 
 
 def _segment(name: str) -> str:
-    """A model's name as a part of a path: anything else would ask for another route."""
-    if not name or not all(letter.isascii() and (letter.isalnum() or letter in "_-") for letter in name):
-        raise ProblemError.unsendable("name", "no name of a model", "letters, digits, _ and -")
+    """Return a model's name as a segment of a path. Another text could name another route."""
+    if not is_name(name):
+        raise ProblemError.at("name", f"a text of {len(name)} characters", NAME_SYNTAX)
     return name
 
 
@@ -182,38 +184,38 @@ def _context(context: Context) -> dict[str, Any]:
 def _pose(pose: npt.ArrayLike, where: str) -> dict[str, float]:
     parts = _finite(pose, where)
     if parts.shape != (_POSE_PARTS,):
-        raise ProblemError.unsendable(where, f"shape {parts.shape}", "three numbers: x and y in m, angle in rad")
+        raise ProblemError.at(where, f"shape {parts.shape}", "three numbers: x and y in m, angle in rad")
     return dict(zip(("x", "y", "angle"), parts.tolist(), strict=True))
 
 
 def _rows(poses: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
     rows = _finite(poses, where)
     if rows.ndim != 2 or rows.shape[1] != _POSE_PARTS:
-        raise ProblemError.unsendable(where, f"shape {rows.shape}", "shape (n, 3): x and y in m, angle in rad")
+        raise ProblemError.at(where, f"shape {rows.shape}", "shape (n, 3): x and y in m, angle in rad")
     return rows
 
 
 def _finite(numbers: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
-    """The numbers in float64, in rows; JSON has no NaN, and writing null for it would have the service guess."""
+    """Return the numbers as contiguous float64. NaN is refused here, because JSON would send null for it."""
     try:
         given = np.asarray(numbers)
     except ValueError as error:
-        raise ProblemError.unsendable(where, "rows of several lengths", "an array of real numbers") from error
+        raise ProblemError.at(where, "rows of different lengths", "an array of real numbers") from error
     if given.dtype.kind not in _REAL_KINDS:
-        raise ProblemError.unsendable(where, f"an array of {given.dtype}", "an array of real numbers")
+        raise ProblemError.at(where, f"an array of {given.dtype}", "an array of real numbers")
     found = np.asarray(given, dtype=np.float64, order="C")
     wrong = np.argwhere(~np.isfinite(found))
     if len(wrong):
-        place = ".".join(str(int(part)) for part in wrong[0])
-        raise ProblemError.unsendable(f"{where}.{place}", "a number that is not finite", "finite numbers")
+        index = ".".join(str(int(part)) for part in wrong[0])
+        raise ProblemError.at(f"{where}.{index}", "a number that is not finite", "finite numbers")
     return found
 
 
-def _places(index: npt.ArrayLike) -> npt.NDArray[np.int64]:
+def _index(index: npt.ArrayLike) -> npt.NDArray[np.int64]:
     found = np.asarray(index)
     if found.ndim != 1 or not np.issubdtype(found.dtype, np.integer):
         received = f"shape {found.shape} of {found.dtype}"
-        raise ProblemError.unsendable("context_index", received, "shape (n,) of integers: one per push")
+        raise ProblemError.at("context_index", received, "shape (n,) of integers: one per push")
     return np.ascontiguousarray(found, dtype=np.int64)
 
 
@@ -222,7 +224,7 @@ def _image(image: Image) -> bytes:
 
 
 def _reader(kind: type[B]) -> Callable[[bytes], B]:
-    """Fields that a later service adds are left alone; those that are there are checked."""
+    """Return a parser that validates known fields and ignores fields of later services."""
     return lambda content: kind.model_validate_json(content, extra="ignore")
 
 
@@ -242,9 +244,9 @@ def _array(rows: Sequence[Any], shape: tuple[int, ...], kind: type[np.floating[A
     try:
         found = np.array(rows, dtype=kind)
     except ValueError as error:
-        raise UnreadableAnswerError("the answer has rows of several lengths") from error
+        raise UnreadableAnswerError("the answer has rows of different lengths") from error
     if found.shape != shape:
-        raise UnreadableAnswerError(f"the answer has numbers of shape {found.shape}, not {shape}")
+        raise UnreadableAnswerError(f"the answer has an array of shape {found.shape}; expected {shape}")
     return found
 
 
@@ -252,8 +254,10 @@ def _problem(status: int, content: bytes, retry_after_s: float | None) -> Proble
     try:
         body = ProblemBody.model_validate_json(content, extra="ignore")
     except ValidationError:
-        phrase = _PHRASES.get(status, "a status without a name")
-        detail = f"{status} ({phrase}) without a problem that explains it: is this CAZSL, or a proxy before it?"
+        phrase = _PHRASES.get(status, "unknown status")
+        detail = (
+            f"status {status} ({phrase}) without a problem document; is this a CAZSL service, or a proxy before it?"
+        )
         return ProblemError("unexplained", detail, status, phrase, retry_after_s=retry_after_s)
     faults = [FieldFault(fault.where, fault.received, fault.accepted) for fault in body.errors]
     return ProblemError(body.code, body.detail, status, body.title, faults, body.request_id, retry_after_s)

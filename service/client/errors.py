@@ -1,11 +1,11 @@
-"""What can go wrong for a client, as a branch of the one tree.
+"""Errors of the clients, a branch of the error tree in ``service.errors``.
 
     CazslError
     └── ClientError
-        ├── ProblemError           the service said no: its status, code, detail and faults
-        ├── UnreachableError       nobody answered, or the connection broke
-        ├── TimedOutError          the answer did not come in time
-        └── UnreadableAnswerError  what came is no answer of this service
+        ├── ProblemError           the service refused the request: status, code, detail and faults
+        ├── UnreachableError       there was no answer, or the connection broke
+        │   └── TimedOutError      the answer did not arrive in time
+        └── UnreadableAnswerError  the answer is not that of a CAZSL service
 
 Standard library only.
 """
@@ -16,23 +16,23 @@ from service.errors import CazslError, FieldFault, InvalidRequestError
 
 
 class ClientError(CazslError):
-    """Root of what a client raises: one ``except`` for all of it."""
+    """Root of all errors that a client raises."""
 
     code = "client"
     title = "The call failed"
 
 
 class ProblemError(ClientError):
-    """The service, or the client for it, refused to answer; ``code`` is stable, ``detail`` says what to mend.
+    """A request that the service refused, or that the client refused before sending it.
 
     Attributes:
-        status: the HTTP status; 422 where the client noticed before sending.
-        code: of the problem, such as ``unknown_model``; docs/api.md lists them with cause and cure.
+        status: the HTTP status. 422 if the client refused the request before sending it.
+        code: stable code of the problem, such as ``unknown_model``. docs/api.md lists codes, causes and remedies.
         title: the kind of problem in words.
-        detail: what was received, what is accepted and where.
-        faults: each fault of the request, with its place.
-        request_id: under which the service logged it; empty where nothing was sent.
-        retry_after_s: what the service asked to wait, in s, where it did.
+        detail: the field, the received value and the accepted values.
+        faults: all faults of the request, each with its field.
+        request_id: id of the request in the service's log. Empty if it was not sent.
+        retry_after_s: pause that the service asked for, in s, or None.
     """
 
     def __init__(
@@ -55,29 +55,29 @@ class ProblemError(ClientError):
         super().__init__(f"{status} {code}: {detail}")
 
     @classmethod
-    def unsendable(cls, where: str, received: str, accepted: str) -> "ProblemError":
-        """What the service would say of an argument that JSON cannot even carry."""
+    def at(cls, where: str, received: str, accepted: str) -> "ProblemError":
+        """Create the error of an argument that JSON cannot represent, as the service would report it."""
         fault = FieldFault(where, received, accepted)
         kind = InvalidRequestError
         return cls(kind.code, str(fault), int(kind.status), kind.title, [fault])
 
 
 class UnreachableError(ClientError):
-    """Nobody answered, or the connection broke; whether the request was answered is not known."""
+    """There was no answer, or the connection broke. The service may have handled the request."""
 
     code = "unreachable"
     title = "The service cannot be reached"
 
 
 class TimedOutError(UnreachableError):
-    """The answer did not come in the time that a call is given."""
+    """The answer did not arrive within the timeout."""
 
     code = "timed_out"
-    title = "The answer did not come in time"
+    title = "The answer did not arrive in time"
 
 
 class UnreadableAnswerError(ClientError):
-    """What came is no answer of this service: no JSON, other fields, numbers missing, or without an end."""
+    """The answer is not that of a CAZSL service: not JSON, other fields, missing numbers, or too large."""
 
     code = "unreadable_answer"
     title = "The answer cannot be read"

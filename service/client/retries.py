@@ -1,6 +1,6 @@
-"""When to ask again: after a 503 only, later each time, never all clients at once, and not before Retry-After.
+"""Retries after a 503: pauses that grow, differ between clients, and respect Retry-After.
 
-A prediction changes nothing, so asking twice is always safe; but only a 503 says that asking again is of use.
+A prediction has no side effects, so repeating a request is always safe. Only a 503 promises that a retry may succeed.
 """
 
 import math
@@ -13,21 +13,22 @@ from http import HTTPStatus
 
 @dataclass(frozen=True, slots=True)
 class Retries:
-    """How often and how soon a client asks again."""
+    """Number and pauses of retries."""
 
     attempts: int = 4
-    """Requests in all, the first included."""
+    """Maximum number of requests, including the first."""
     first_s: float = 0.1
-    """Longest pause before the second request, in s; it doubles from one to the next."""
+    """Upper bound of the pause before the second request, in s. It doubles with each further request."""
     longest_s: float = 5.0
-    """A service that asks for a longer pause than this is not asked again, in s."""
+    """Upper bound of all pauses, in s. A service that asks for a longer one is not asked again."""
 
     def pause_s(
         self, attempt: int, status: int, retry_after_s: float | None, draw: Callable[[], float]
     ) -> float | None:
-        """How long to wait after this attempt (the first is 1); None: that answer is the last.
+        """Return the pause after this attempt (the first is 1) in s, or None for no further attempt.
 
-        ``draw`` gives a number in [0, 1): spread over the whole pause, clients that failed together come back apart.
+        ``draw`` returns a number in [0, 1). The pause is uniform between 0 and its bound, so clients that failed
+        together retry at different times.
         """
         if status != HTTPStatus.SERVICE_UNAVAILABLE or attempt >= self.attempts:
             return None
@@ -38,7 +39,7 @@ class Retries:
 
 
 def retry_after_s(header: str | None, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> float | None:
-    """The seconds of a Retry-After header, a number or a date (RFC 9110, 10.2.3); None for anything else."""
+    """Parse a Retry-After header, a number of seconds or a date (RFC 9110, 10.2.3). Return None for other texts."""
     if header is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Both clients, against a real service process and against servers that mean no good."""
+"""Tests of both clients against a real service process and against hostile servers."""
 
 import asyncio
 import gzip
@@ -57,13 +57,13 @@ Ask = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def key() -> tuple[Grant, str]:
-    """A key."""
+    """An API key with the scope predict."""
     return Grant.new("robot", frozenset([Scope.PREDICT]))
 
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory, key: tuple[Grant, str]) -> Iterator[str]:
-    """A service that wants a key."""
+    """The address of a service that requires an API key."""
     folder = tmp_path_factory.mktemp("client")
     (folder / "keys").write_text(key[0].line() + "\n")
     with serve(folder, keys=folder / "keys") as (port, _):
@@ -72,14 +72,14 @@ def url(tmp_path_factory: pytest.TempPathFactory, key: tuple[Grant, str]) -> Ite
 
 @pytest.fixture
 def client(url: str, key: tuple[Grant, str]) -> Iterator[Client]:
-    """A blocking client of it."""
+    """A blocking client of that service."""
     with Client(url, key=key[1], timeout_s=PATIENCE_S) as found:
         yield found
 
 
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A top-down view."""
+    """The file of a top-down view."""
     grey = np.zeros((64, 64), dtype=np.uint8)
     grey[20:44, 18:40] = 128
     path = tmp_path_factory.mktemp("picture") / "view.png"
@@ -87,8 +87,8 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_one_push_is_answered_with_the_services_own_body(client: Client) -> None:
-    """With and without a model, as list and as array."""
+def test_predict_returns_the_body_of_the_service(client: Client) -> None:
+    """One push gets the same body with and without a model, from a list and from an array."""
     answer = client.predict([-0.075, 0.0, 0.0], OBJECT)
     assert (answer.model.name, answer.frame) == ("push-indicator", "object")
     assert answer == client.predict(
@@ -96,8 +96,8 @@ def test_one_push_is_answered_with_the_services_own_body(client: Client) -> None
     )
 
 
-def test_a_batch_is_arrays_in_and_arrays_out(client: Client) -> None:
-    """Each row is what that push alone gets, to the bit."""
+def test_batch_takes_and_returns_arrays(client: Client) -> None:
+    """Each row of a batch equals the prediction of that push alone, to the bit."""
     batch = client.predict_batch(PUSHERS, OBJECT)
     assert batch.mean.shape == batch.std.shape == (300, 3)
     assert (batch.std > 0).all()
@@ -108,8 +108,8 @@ def test_a_batch_is_arrays_in_and_arrays_out(client: Client) -> None:
     assert (several.mean[1::2] != batch.mean[1::2]).any()
 
 
-def test_poses_in_the_world_give_answers_in_it(client: Client) -> None:
-    """With covariances; an object in the origin of the world changes nothing but the frame."""
+def test_object_poses_give_predictions_in_the_world_frame(client: Client) -> None:
+    """Object poses give predictions in the world frame with covariances. An object at the origin keeps its numbers."""
     world = client.predict_batch(PUSHERS, OBJECT, object_poses=[[0.0, 0.0, 0.0]])
     assert world.frame == "world"
     assert world.covariance is not None
@@ -119,8 +119,8 @@ def test_poses_in_the_world_give_answers_in_it(client: Client) -> None:
     assert one.covariance is not None
 
 
-def test_an_image_becomes_a_context_that_is_used_again(client: Client, picture: Path) -> None:
-    """As a path or as bytes; the context gives what the image gives."""
+def test_image_is_converted_to_a_reusable_context(client: Client, picture: Path) -> None:
+    """An image, as a path or as bytes, becomes a context that gives the predictions of the image."""
     seen = client.make_context(picture)
     assert seen == client.make_context(picture.read_bytes()) == client.make_context(str(picture))
     again = client.predict_batch(PUSHERS, seen)
@@ -129,8 +129,8 @@ def test_an_image_becomes_a_context_that_is_used_again(client: Client, picture: 
     assert client.predict_image(picture, PUSHERS, object_poses=[[0.05, 0.0, 0.0]]).frame == "world"
 
 
-def test_models_can_be_looked_at(client: Client) -> None:
-    """All, one, one version."""
+def test_models_and_versions_are_listed(client: Client) -> None:
+    """The client lists all models, shows one model, and shows one version with its manifest."""
     names = [model.name for model in client.list_models().models]
     assert {"push-indicator", "push-visual"} <= set(names)
     assert names == sorted(names)
@@ -138,8 +138,8 @@ def test_models_can_be_looked_at(client: Client) -> None:
     assert client.show_version("push-indicator", 1).manifest["name"] == "push-indicator"
 
 
-def test_the_same_numbers_come_without_a_service(client: Client, project_root: Path) -> None:
-    """``Client.local`` over the same model: to the bit."""
+def test_local_client_returns_the_same_numbers(client: Client, project_root: Path) -> None:
+    """A local client over the same registry returns the numbers of the service, to the bit."""
     with Client.local(str(project_root / "models")) as local:
         for poses in (None, [[0.01, 0.02, 1.57]]):
             here, there = (c.predict_batch(PUSHERS, OBJECT, object_poses=poses) for c in (local, client))
@@ -148,8 +148,8 @@ def test_the_same_numbers_come_without_a_service(client: Client, project_root: P
         assert local.predict(PUSHERS[0], OBJECT) == client.predict(PUSHERS[0], OBJECT)
 
 
-def test_a_refusal_is_an_exception_with_code_detail_faults_and_request_id(client: Client) -> None:
-    """As the service said it."""
+def test_refused_request_is_a_problem_error(client: Client) -> None:
+    """A refused request is a ProblemError with the code, detail, faults and request id of the service."""
     with pytest.raises(ProblemError) as raised:
         client.predict([2.0, 0.0, 0.0], OBJECT)
     problem = raised.value
@@ -158,24 +158,23 @@ def test_a_refusal_is_an_exception_with_code_detail_faults_and_request_id(client
     assert problem.detail == str(problem.faults[0])
     assert problem.request_id
     with pytest.raises(ProblemError, match="unknown_model"):
-        client.predict([0.0, 0.0, 0.0], OBJECT, model="nobody")
+        client.predict([0.0, 0.0, 0.0], OBJECT, model="absent")
 
 
-def test_a_key_that_is_missing_or_wrong_is_said(url: str) -> None:
-    """A 401 is no reason to try again."""
+def test_missing_or_wrong_key_is_refused_once(url: str) -> None:
+    """A missing or wrong key is a ProblemError with status 401, and is not retried."""
     for key in (None, "wrong"):
         with Client(url, key=key) as client, pytest.raises(ProblemError) as raised:
             client.list_models()
         assert (raised.value.status, raised.value.code) == (401, "missing_key")
 
 
-def test_asyncio_has_the_same_answers_many_at_once(
+def test_asyncio_client_returns_the_same_answers(
     url: str, client: Client, key: tuple[Grant, str], picture: Path
 ) -> None:
-    """Every method, with one client for all tasks."""
+    """Every method of one asyncio client, shared by many tasks, returns the answers of the blocking client."""
 
     async def scenario() -> None:
-        """On one loop."""
         async with AsyncClient(url, key=key[1], timeout_s=PATIENCE_S) as concurrent:
             batches = await asyncio.gather(*(concurrent.predict_batch(PUSHERS, OBJECT) for _ in range(20)))
             assert all((batch.mean == batches[0].mean).all() for batch in batches)
@@ -187,12 +186,12 @@ def test_asyncio_has_the_same_answers_many_at_once(
                 (concurrent.show_model("push-visual"), client.show_model("push-visual")),
                 (concurrent.show_version("push-visual", 1), client.show_version("push-visual", 1)),
             ]
-            for asked, expected in pairs:
-                assert await asked == expected
+            for answer, expected in pairs:
+                assert await answer == expected
             image = await concurrent.predict_image(picture, PUSHERS)
             assert (image.mean == client.predict_image(picture, PUSHERS).mean).all()
             with pytest.raises(ProblemError, match="unknown_model"):
-                await concurrent.show_model("nobody")
+                await concurrent.show_model("absent")
         async with AsyncClient.local(str(ROOT / "models")) as local:
             batch = await local.predict_batch(PUSHERS, OBJECT)
             assert batch.mean.tobytes() == client.predict_batch(PUSHERS, OBJECT).mean.tobytes()
@@ -201,16 +200,15 @@ def test_asyncio_has_the_same_answers_many_at_once(
 
 
 def blocking(url: str, **options: Any) -> Any:
-    """One push, asked by the blocking client."""
+    """Predict one push with the blocking client."""
     with Client(url, **options) as client:
         return client.predict([0.0, 0.0, 0.0], OBJECT)
 
 
 def concurrent(url: str, **options: Any) -> Any:
-    """The same by the other."""
+    """Predict one push with the asyncio client."""
 
     async def ask() -> Any:
-        """On a loop of its own."""
         async with AsyncClient(url, **options) as client:
             return await client.predict([0.0, 0.0, 0.0], OBJECT)
 
@@ -221,16 +219,16 @@ both = pytest.mark.parametrize("ask", [blocking, concurrent])
 
 
 @both
-def test_a_storm_of_503_is_outlived(ask: Ask) -> None:
-    """Three refusals, then an answer: the caller sees the answer."""
+def test_several_503_are_retried(ask: Ask) -> None:
+    """After three answers of 503 the client returns the answer of the fourth request."""
     with hostile([BUSY, BUSY, BUSY, FINE]) as (url, seen):
         assert ask(url, retries=AT_ONCE).model.version == 1
     assert len(seen.heads) == 4
 
 
 @both
-def test_a_storm_that_does_not_end_is_told_after_so_many_attempts(ask: Ask) -> None:
-    """With the last refusal's code."""
+def test_last_503_is_raised_after_all_attempts(ask: Ask) -> None:
+    """After the last attempt a 503 is raised as a ProblemError with its code, request id and Retry-After."""
     with hostile([BUSY]) as (url, seen), pytest.raises(ProblemError) as raised:
         ask(url, retries=Retries(attempts=3, first_s=0.0))
     assert (raised.value.code, raised.value.request_id, raised.value.retry_after_s) == ("overloaded", "42", 0.0)
@@ -238,16 +236,16 @@ def test_a_storm_that_does_not_end_is_told_after_so_many_attempts(ask: Ask) -> N
 
 
 @both
-def test_a_503_without_a_problem_is_asked_again_too(ask: Ask) -> None:
-    """A proxy's, while the service behind it restarts."""
+def test_503_of_a_proxy_is_retried(ask: Ask) -> None:
+    """A 503 without a problem document, as a proxy sends it, is retried."""
     with hostile([reply("503 Service Unavailable", b"<html>"), FINE]) as (url, seen):
         assert ask(url, retries=AT_ONCE).model.version == 1
     assert len(seen.heads) == 2
 
 
 @both
-def test_a_long_retry_after_is_told_instead_of_waited_for(ask: Ask) -> None:
-    """An hour is the caller's decision."""
+def test_long_retry_after_is_raised_at_once(ask: Ask) -> None:
+    """A 503 with a Retry-After of an hour is raised without a retry."""
     long = reply("503 Service Unavailable", PROBLEM, "Retry-After: 3600")
     with hostile([long]) as (url, seen), pytest.raises(ProblemError) as raised:
         ask(url)
@@ -257,8 +255,8 @@ def test_a_long_retry_after_is_told_instead_of_waited_for(ask: Ask) -> None:
 
 @both
 @pytest.mark.parametrize("status", ["500 Internal Server Error", "502 Bad Gateway", "429 Too Many Requests", "799 Odd"])
-def test_nothing_else_is_asked_again(ask: Ask, status: str) -> None:
-    """Once, and the status in words."""
+def test_other_statuses_are_not_retried(ask: Ask, status: str) -> None:
+    """An error status other than 503 is raised after one request."""
     with hostile([reply(status, b"<html>", "Retry-After: 0")]) as (url, seen), pytest.raises(ProblemError) as raised:
         ask(url)
     assert (raised.value.status, raised.value.code) == (int(status[:3]), "unexplained")
@@ -278,16 +276,16 @@ def test_nothing_else_is_asked_again(ask: Ask, status: str) -> None:
         reply("200 OK", gzip.compress(ANSWER), "Content-Encoding: gzip"),
     ],
 )
-def test_garbage_is_no_answer(ask: Ask, answer: Reply) -> None:
-    """A page, nothing, other JSON, a bomb of brackets, half an answer, a packed one: one exception, once."""
+def test_unreadable_answer_is_raised_once(ask: Ask, answer: Reply) -> None:
+    """An answer that is HTML, empty, other JSON, deeply nested, truncated or compressed is an UnreadableAnswerError."""
     with hostile([answer]) as (url, seen), pytest.raises(UnreadableAnswerError, match="/v1/predict"):
         ask(url)
     assert len(seen.heads) == 1
 
 
 @both
-def test_a_redirect_is_not_followed(ask: Ask) -> None:
-    """A key must not travel to where an answer points."""
+def test_redirect_is_not_followed(ask: Ask) -> None:
+    """A redirect is not followed, so the API key is sent to no other host."""
     with (
         hostile([reply("307 Temporary Redirect", b"", "Location: http://127.0.0.1:9/")]) as (url, seen),
         pytest.raises(ProblemError, match="307"),
@@ -302,8 +300,8 @@ def test_a_redirect_is_not_followed(ask: Ask) -> None:
     [[b"", b"HTTP"], [b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n", *([b"{"] * 1000)]],
     ids=["never begins", "never ends"],
 )
-def test_a_slow_answer_is_given_up_on(ask: Ask, parts: Reply) -> None:
-    """Though every byte comes in time, the answer as a whole does not."""
+def test_slow_answer_times_out(ask: Ask, parts: Reply) -> None:
+    """An answer that is late as a whole times out, even if each of its bytes arrives in time."""
     slow = [parts[0], *([b""] * 100), *parts[1:]]
     with hostile([slow]) as (url, _), pytest.raises(TimedOutError, match=r"within 0\.3 s"):
         ask(url, timeout_s=0.3)
@@ -315,25 +313,25 @@ def test_a_slow_answer_is_given_up_on(ask: Ask, parts: Reply) -> None:
     [[], [b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n{"], [b"SSH-2.0-OpenSSH\r\n"]],
     ids=["hangs up", "hangs up half-way", "speaks no HTTP"],
 )
-def test_a_broken_connection_is_said(ask: Ask, parts: Reply) -> None:
-    """Whether it was answered is not known, so it is not asked again."""
-    with hostile([parts]) as (url, seen), pytest.raises(UnreachableError, match="cannot be asked"):
+def test_broken_connection_is_an_error(ask: Ask, parts: Reply) -> None:
+    """A broken connection is an UnreachableError and is not retried, because the request may have been handled."""
+    with hostile([parts]) as (url, seen), pytest.raises(UnreachableError, match="cannot be reached"):
         ask(url)
     assert len(seen.heads) == 1
 
 
 @both
-def test_nobody_there_is_said_with_what_to_do(ask: Ask) -> None:
-    """A port that nobody listens on."""
+def test_closed_port_is_an_error_with_advice(ask: Ask) -> None:
+    """A closed port is an UnreachableError that asks whether the service is running."""
     with pytest.raises(UnreachableError, match="is the service running"):
         ask(f"http://127.0.0.1:{free_port()}")
 
 
-def test_an_answer_without_an_end_is_cut() -> None:
-    """However fast it comes."""
+def test_endless_answer_is_cut_at_the_size_limit() -> None:
+    """An answer without end is an UnreadableAnswerError at the size limit."""
 
     class Endless(httpx2.SyncByteStream):
-        """A server that never stops."""
+        """A body without end."""
 
         def __iter__(self) -> Iterator[bytes]:
             while True:
@@ -345,8 +343,8 @@ def test_an_answer_without_an_end_is_cut() -> None:
         client.list_models()
 
 
-def test_requests_say_who_asks_and_take_no_packed_answer() -> None:
-    """For the service's log; and what is packed may be of any size inside."""
+def test_request_headers_name_the_client_and_refuse_compression() -> None:
+    """A request names the client and its version, refuses compressed answers, and carries the API key."""
     with hostile([FINE]) as (url, seen):
         blocking(url, key="secret")
     head = seen.heads[0].lower()

@@ -1,4 +1,4 @@
-"""Arrays to requests, answers to arrays: what cannot be sent, and what is no answer."""
+"""Tests of requests and answers: array forms, refused arguments, and unreadable answers."""
 
 import json
 from typing import Any
@@ -21,13 +21,13 @@ BATCH = {
 
 
 def sent(call: calls.Call[Any]) -> Any:
-    """The document of a request."""
+    """Return the JSON document of a request."""
     return json.loads(call.body["content"])
 
 
 @pytest.mark.parametrize("array", [PUSHERS, PUSHERS.tolist(), PUSHERS.astype(np.float32), np.asfortranarray(PUSHERS)])
-def test_pushers_are_sent_whatever_form_of_array_they_have(array: Any) -> None:
-    """Lists, float32, columns first: the numbers arrive."""
+def test_every_form_of_array_is_sent_alike(array: Any) -> None:
+    """A list, a float32 array and a Fortran-ordered array are sent as the same numbers."""
     assert sent(calls.predict_batch(array, None, None, None, None)) == {
         "pushers": [pytest.approx(row, abs=1e-6) for row in PUSHERS.tolist()]
     }
@@ -41,8 +41,8 @@ def test_pushers_are_sent_whatever_form_of_array_they_have(array: Any) -> None:
         (SEEN, {"visual": "AAAA"}),
     ],
 )
-def test_an_object_is_told_in_any_form(context: calls.Context, document: dict[str, str]) -> None:
-    """Alone for all pushes, and as one of several."""
+def test_every_form_of_context_is_sent(context: calls.Context, document: dict[str, str]) -> None:
+    """A context in any form is sent for one push, for all pushes, and as one of several with an index."""
     assert sent(calls.predict([0, 0, 0], context, None, None))["context"] == document
     assert sent(calls.predict_batch(PUSHERS, context, None, None, None))["contexts"] == [document]
     several = sent(calls.predict_batch(PUSHERS, [context, context], np.array([1, 0]), None, None))
@@ -63,8 +63,8 @@ def test_an_object_is_told_in_any_form(context: calls.Context, document: dict[st
         ([[0.0, 0.0, 0.0], [0.0, 0.0, np.inf]], "pushers.1.2"),
     ],
 )
-def test_what_json_cannot_carry_is_refused_with_its_place(pushers: Any, where: str) -> None:
-    """As the service would, before anything is sent."""
+def test_invalid_array_is_refused_with_its_field(pushers: Any, where: str) -> None:
+    """An array that JSON cannot represent is refused before sending, with the error that the service would give."""
     with pytest.raises(ProblemError) as raised:
         calls.predict_batch(pushers, None, None, None, None)
     assert (raised.value.code, raised.value.status) == ("invalid_request", 422)
@@ -72,15 +72,15 @@ def test_what_json_cannot_carry_is_refused_with_its_place(pushers: Any, where: s
 
 
 @pytest.mark.parametrize("index", [np.array([0.0, 1.0]), [[0, 1]], "01"])
-def test_an_index_that_is_none_is_refused(index: Any) -> None:
-    """One integer per push."""
+def test_invalid_context_index_is_refused(index: Any) -> None:
+    """A context index that is not one integer per push is refused."""
     with pytest.raises(ProblemError, match="context_index"):
         calls.predict_batch(PUSHERS, ["1a2b3c4a"], index, None, None)
 
 
-@pytest.mark.parametrize("name", ["", "..", "a/b", "push indicator", "push-indicator?x=1", "é"])
-def test_a_name_that_would_ask_for_another_route_is_refused(name: str) -> None:
-    """A name is one part of a path."""
+@pytest.mark.parametrize("name", ["", "..", "a/b", "push indicator", "push-indicator?x=1", "é", "Push-indicator"])
+def test_invalid_model_name_is_refused(name: str) -> None:
+    """A text that is not a model name is refused, because in a path it could name another route."""
     with pytest.raises(ProblemError, match="name"):
         calls.show_model(name)
     with pytest.raises(ProblemError, match="name"):
@@ -88,12 +88,12 @@ def test_a_name_that_would_ask_for_another_route_is_refused(name: str) -> None:
 
 
 def read(document: object) -> calls.Predictions:
-    """Two pushes' answer."""
+    """Parse an answer for two pushes."""
     return calls.predict_batch(PUSHERS, None, None, None, None).read(200, json.dumps(document).encode(), None)
 
 
-def test_an_answer_becomes_arrays() -> None:
-    """float32 in the object's frame, as the model gave them."""
+def test_answer_is_parsed_to_arrays() -> None:
+    """An answer becomes float32 arrays in the object's frame, and float64 arrays with covariance in the world frame."""
     predictions = read(BATCH)
     assert predictions.mean.dtype == predictions.std.dtype == np.float32
     assert predictions.mean.tolist() == np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]], dtype=np.float32).tolist()
@@ -104,8 +104,8 @@ def test_an_answer_becomes_arrays() -> None:
     assert in_the_world.covariance.shape == (2, 3, 3)
 
 
-def test_fields_that_a_later_service_adds_are_left_alone() -> None:
-    """At every depth: an old client goes on working."""
+def test_unknown_fields_of_an_answer_are_ignored() -> None:
+    """Fields that a later service adds are ignored at every depth, so an old client keeps working."""
     predictions = read({**BATCH, "latency_s": 1.0, "model": {"name": "push-indicator", "version": 1, "digest": "0"}})
     assert predictions.model.version == 1
 
@@ -123,7 +123,7 @@ def test_fields_that_a_later_service_adds_are_left_alone() -> None:
         {"model": {"name": "push-indicator"}},
     ],
 )
-def test_an_answer_that_is_none_says_what_is_wrong(wrong: dict[str, Any]) -> None:
-    """Rows missing, numbers missing, names missing."""
+def test_invalid_answer_is_an_error(wrong: dict[str, Any]) -> None:
+    """An answer with missing rows, numbers or names is an UnreadableAnswerError."""
     with pytest.raises(UnreadableAnswerError, match="answer"):
         read({**BATCH, **wrong})

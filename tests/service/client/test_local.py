@@ -1,4 +1,4 @@
-"""The same answers without a service: byte for byte what a real process sends."""
+"""Tests of the client in this process: its answers equal those of a service, byte for byte."""
 
 import asyncio
 import json
@@ -24,7 +24,7 @@ GREY = [[0.5] * 32] * 32
 
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx2.Client, httpx2.Client]]:
-    """A service process, and the same registry in this process."""
+    """Clients of a service process, and of the same registry in this process."""
     folder = tmp_path_factory.mktemp("parity")
     with (
         serve(folder) as (port, _),
@@ -36,7 +36,7 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[httpx2.Clie
 
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A top-down view."""
+    """The file of a top-down view."""
     grey = np.zeros((64, 64), dtype=np.uint8)
     grey[20:44, 18:40] = 128
     path = tmp_path_factory.mktemp("picture") / "view.png"
@@ -72,22 +72,22 @@ BAD = {
 
 
 def post(client: httpx2.Client, path: str, document: object) -> httpx2.Response:
-    """A document, as JSON."""
+    """Send a document as JSON."""
     content = document if isinstance(document, bytes) else json.dumps(document).encode()
     return client.post(path, content=content, headers={"Content-Type": "application/json"})
 
 
 @pytest.mark.parametrize("name", GOOD)
 def test_predictions_are_the_same_bytes(both: tuple[httpx2.Client, httpx2.Client], name: str) -> None:
-    """Every digit of every number, and what stands around them."""
+    """A prediction in this process has the same bytes as that of the service."""
     remote, local = (post(client, *GOOD[name]) for client in both)
     assert remote.status_code == local.status_code == 200
     assert remote.content == local.content
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_problems_are_the_same_but_for_the_request_id(both: tuple[httpx2.Client, httpx2.Client], name: str) -> None:
-    """Status, code, words and faults."""
+def test_problems_are_equal_except_for_the_request_id(both: tuple[httpx2.Client, httpx2.Client], name: str) -> None:
+    """A refused request has the same status, code, texts and faults as in the service."""
     remote, local = (post(client, *BAD[name]) for client in both)
     assert remote.status_code == local.status_code >= 400
     assert {**remote.json(), "request_id": ""} == local.json()
@@ -95,7 +95,7 @@ def test_problems_are_the_same_but_for_the_request_id(both: tuple[httpx2.Client,
 
 @pytest.mark.parametrize("path", ["/v1/models", "/v1/models/push-visual", "/v1/models/push-indicator/versions/1"])
 def test_models_are_described_alike(both: tuple[httpx2.Client, httpx2.Client], path: str) -> None:
-    """Names, aliases, manifest, card."""
+    """Models and versions have the same description as in the service."""
     remote, local = (client.get(path) for client in both)
     assert remote.json() == local.json()
 
@@ -104,7 +104,7 @@ def test_models_are_described_alike(both: tuple[httpx2.Client, httpx2.Client], p
 def test_images_are_seen_alike(
     both: tuple[httpx2.Client, httpx2.Client], picture: Path, fields: dict[str, str]
 ) -> None:
-    """As a form with pushes, and to be used again."""
+    """An image gives the same prediction, context and errors as in the service."""
 
     def answers(client: httpx2.Client) -> list[dict[str, Any]]:
         files = {"image": picture.read_bytes()}
@@ -117,26 +117,25 @@ def test_images_are_seen_alike(
     assert remote == local
 
 
-def test_what_is_not_there_is_said(both: tuple[httpx2.Client, httpx2.Client]) -> None:
-    """Models that are not served, as a service says it; routes that only a service has."""
+def test_unknown_model_or_route_is_a_problem(both: tuple[httpx2.Client, httpx2.Client]) -> None:
+    """An unknown model is the problem of the service. A route that only a service has is a problem too."""
     remote, local = (client.get("/v1/models/nobody") for client in both)
     assert {**remote.json(), "request_id": ""} == local.json()
     assert "not answered in process" in both[1].get("/metrics").json()["detail"]
 
 
-def test_a_registry_without_a_model_is_refused_at_once(tmp_path: Path) -> None:
-    """Not at the first prediction, and not after waiting."""
+def test_registry_without_a_model_is_refused_at_once(tmp_path: Path) -> None:
+    """A registry without models is refused when the client is made, not at the first prediction."""
     with pytest.raises(ModelNotReadyError, match="can be used"):
         Client.local(str(tmp_path))
     with pytest.raises(RegistryError, match="a registry is a folder"):
         Client.local("https://example.org/models")
 
 
-def test_images_inside_a_running_loop_are_read_too(picture: Path, project_root: Path) -> None:
-    """A notebook runs one, and the blocking client is what people use there."""
+def test_image_is_read_inside_a_running_event_loop(picture: Path, project_root: Path) -> None:
+    """The blocking client reads images inside a running event loop, as in a notebook."""
 
     async def notebook() -> None:
-        """A cell."""
         with Client.local(str(project_root / "models")) as client:
             assert client.make_context(picture).visual
             assert client.predict_image(picture, [[-0.075, 0.0, 0.0]]).mean.shape == (1, 3)

@@ -1,4 +1,4 @@
-"""Asking again: after what, how often, how soon."""
+"""Tests of retries: statuses, number of attempts, and pauses."""
 
 from datetime import UTC, datetime
 
@@ -8,35 +8,35 @@ from service.client.retries import Retries, retry_after_s
 
 
 @pytest.mark.parametrize("status", [200, 400, 404, 408, 422, 429, 500, 502, 504])
-def test_nothing_but_a_503_is_asked_again(status: int) -> None:
-    """Whatever the header says."""
+def test_only_a_503_is_retried(status: int) -> None:
+    """A status other than 503 is not retried, even with a Retry-After header."""
     assert Retries().pause_s(1, status, 1.0, lambda: 0.5) is None
 
 
-def test_pauses_double_and_are_spread_from_nothing_to_the_whole() -> None:
-    """Clients that failed together come back apart."""
+def test_pauses_double_and_are_random() -> None:
+    """The upper bound of the pause doubles up to its limit, and the pause is drawn between 0 and the bound."""
     retries = Retries(attempts=9, first_s=0.1, longest_s=1.0)
     assert [retries.pause_s(attempt, 503, None, lambda: 0.0) for attempt in range(1, 9)] == [0.0] * 8
     longest = [retries.pause_s(attempt, 503, None, lambda: 1.0) for attempt in range(1, 9)]
     assert longest == pytest.approx([0.1, 0.2, 0.4, 0.8, 1.0, 1.0, 1.0, 1.0])
 
 
-def test_the_last_attempt_is_the_last() -> None:
-    """Attempts count the first one."""
+def test_number_of_attempts_includes_the_first() -> None:
+    """The number of attempts includes the first request."""
     assert Retries(attempts=3).pause_s(2, 503, None, lambda: 0.0) == 0.0
     assert Retries(attempts=3).pause_s(3, 503, None, lambda: 0.0) is None
     assert Retries(attempts=1).pause_s(1, 503, None, lambda: 0.0) is None
 
 
-def test_nobody_comes_back_before_retry_after_and_not_all_at_once_after_it() -> None:
-    """The pause is what was asked for and then the spread."""
+def test_pause_is_retry_after_plus_a_random_part() -> None:
+    """A pause is never shorter than Retry-After, and a random part is added to it."""
     retries = Retries(first_s=0.4)
     assert retries.pause_s(1, 503, 2.0, lambda: 0.0) == 2.0
     assert retries.pause_s(1, 503, 2.0, lambda: 0.5) == pytest.approx(2.2)
 
 
-def test_a_service_that_asks_for_too_long_a_pause_is_not_asked_again() -> None:
-    """The caller hears of it instead of hanging."""
+def test_retry_after_over_the_limit_ends_the_retries() -> None:
+    """A Retry-After over the limit ends the retries, so the caller does not hang."""
     assert Retries(longest_s=5.0).pause_s(1, 503, 6.0, lambda: 0.0) is None
 
 
@@ -56,6 +56,6 @@ def test_a_service_that_asks_for_too_long_a_pause_is_not_asked_again() -> None:
         ("Mon, 99 Nov 2026 12:00:30 GMT", None),
     ],
 )
-def test_retry_after_is_a_number_or_a_date_or_nothing(header: str | None, seconds: float | None) -> None:
-    """RFC 9110; whatever else comes is as if nothing had come."""
+def test_retry_after_is_parsed_as_a_number_or_a_date(header: str | None, seconds: float | None) -> None:
+    """A Retry-After header is a number of seconds or a date (RFC 9110). Any other text counts as no header."""
     assert retry_after_s(header, lambda: datetime(2026, 11, 23, 12, tzinfo=UTC)) == seconds
