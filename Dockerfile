@@ -1,7 +1,7 @@
-# The service and its models: no trainer, no torch, no compiler. Runs as nobody in particular on a read-only root.
+# The service and its models, without trainer, torch and compiler. Runs as an unprivileged user on a read-only root.
 #   make image && docker run --rm --read-only -p 8000:8000 cazsl
-#   docker build --build-arg LOCK=s3 -t cazsl:s3 .           registries in buckets too; LOCK=all: and signed models, traces
-# The same tree gives the same layers: versions are locked, nothing remembers when it was built.
+#   docker build --build-arg LOCK=s3 -t cazsl:s3 .    with registries in buckets; LOCK=all: signed models and traces too
+# The same tree gives the same layers: versions are locked, and no file holds the time of the build.
 
 # A release names the base by its digest: --build-arg PYTHON=python:3.11-slim@sha256:...
 ARG PYTHON=python:3.11-slim
@@ -11,15 +11,15 @@ ARG LOCK=serving
 ENV PIP_NO_CACHE_DIR=1 PIP_NO_COMPILE=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_ROOT_USER_ACTION=ignore
 WORKDIR /src
 RUN python -m venv --without-pip /opt/cazsl
-# Dependencies first: this layer changes only with them. A lock has the digest of every file that may be installed,
-# and is whole: pip looks for nothing else. (It would, for pydantic[email], and refuse the lock.)
+# Dependencies come first, so this layer changes only with them. A lock has the digest of every file to install.
+# With --no-deps pip installs the lock only. (Without it, pip would search for pydantic[email] and refuse the lock.)
 COPY deploy/locks/${LOCK}.txt requirements.txt
 RUN pip --python /opt/cazsl/bin/python install --no-deps --require-hashes --requirement requirements.txt
 COPY pyproject.toml README.md LICENSE ./
 COPY service service
-# Left out: the runtime a second time (35 MB), for programs in C (Python's module holds it), other people's tests and tools,
-# C++ sources, and AVIF: pictures are PNG, JPEG or WebP. A path that is no more ends the build.
-# Bytecode is a tenth of the rest and takes a third off the start. It is checked against no clock: read-only, and the same.
+# Deleted: the runtime's library for programs in C (35 MB; Python's module contains the runtime), tests and tools of
+# packages, C++ sources, and AVIF (pictures are PNG, JPEG or WebP). A missing path ends the build.
+# Bytecode is a tenth of the rest and makes the start a third faster. It has no timestamps, so layers stay the same.
 RUN pip --python /opt/cazsl/bin/python install --no-deps . \
  && rm /opt/cazsl/bin/cazsl-train \
  && packages=$(echo /opt/cazsl/lib/python3.*/site-packages) \
@@ -44,9 +44,9 @@ LABEL org.opencontainers.image.title="cazsl" \
       org.opencontainers.image.revision="${REVISION}" \
       org.opencontainers.image.base.name="docker.io/library/python:3.11-slim"
 COPY --from=build /image /
-# glibc's own limit for large pieces, held: it raises that by itself once a model was released, and then keeps what is freed.
-# Of small ones up to 4 MiB stay, for the next requests. Pillow then keeps two blocks of up to 16 MiB for the next picture:
-# given back, each costs a page fault per 4 KiB.
+# MALLOC_MMAP_THRESHOLD_ fixes glibc's limit for large blocks. By default glibc raises it when a model is released, and
+# then keeps freed memory. Up to 4 MiB of small blocks stay for the next requests. Pillow keeps two blocks of up to 16
+# MiB for the next picture. Returned to the system, each block costs a page fault per 4 KiB.
 ENV MALLOC_MMAP_THRESHOLD_=131072 \
     MALLOC_TRIM_THRESHOLD_=4194304 \
     PILLOW_BLOCKS_MAX=2 \

@@ -1,4 +1,4 @@
-# Everything a person or CI does, in one place. Each target says how long it takes on two cores in the README.
+# All commands of developers and CI. The README gives the time of each on two cores.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,7 +13,7 @@ lock = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generat
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-# A stamp per set of dependencies: installed again only when pyproject.toml changes.
+# One stamp file per set of dependencies, so they are installed again only if pyproject.toml changes.
 $(VENV)/serving: pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make PYTHON=python3.11 ...") if sys.version_info < (3, 11) else None'
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
@@ -44,10 +44,10 @@ train: data ## fit MODEL, measure it, fit it again on all objects, publish its n
 test: $(VENV)/dev ## run all tests
 	$(BIN)/pytest
 
-fuzz: $(VENV)/dev ## 100,000 generated requests; says how many of what were answered how: a minute or two
+fuzz: $(VENV)/dev ## send 100,000 generated requests and count the answers by route and status: a minute or two
 	CAZSL_FUZZ_REQUESTS=100000 $(BIN)/pytest -s tests/test_fuzz.py
 
-check: $(VENV)/dev ## format, lint, types, docstrings, import directions, OpenAPI drift, Dockerfile, deploy/; changes nothing
+check: $(VENV)/dev ## check format, lint, types, docstrings, imports, OpenAPI, Dockerfile, deploy/; changes no file
 	$(BIN)/ruff format --check $(SOURCES)
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
@@ -55,14 +55,14 @@ check: $(VENV)/dev ## format, lint, types, docstrings, import directions, OpenAP
 	$(BIN)/pytest --quiet tests/test_layers.py tests/test_openapi.py tests/test_deploy.py
 	$(BIN)/hadolint Dockerfile
 
-format: $(VENV)/dev ## mend what check finds in format and imports
+format: $(VENV)/dev ## repair format and order of imports
 	$(BIN)/ruff format $(SOURCES)
 	$(BIN)/ruff check --fix $(SOURCES)
 
 openapi: $(VENV)/dev ## renew openapi/openapi.json from the app
 	$(BIN)/pytest --quiet tests/test_openapi.py --renew-openapi
 
-lock: $(VENV)/dev ## renew what the image holds, from pyproject.toml: versions and digests
+lock: $(VENV)/dev ## renew the image's locks from pyproject.toml: versions and digests
 	$(call lock,serving,)
 	$(call lock,s3,--extra s3)
 	$(call lock,all,--extra s3 --extra signing --extra otel)
@@ -71,11 +71,11 @@ image: ## build the image cazsl, with Docker
 	docker build --tag cazsl --build-arg VERSION=$(VERSION) --build-arg REVISION=$$(git rev-parse HEAD) .
 
 DU := docker run --rm --user root --entrypoint du cazsl
-size: ## say how large the image cazsl is on disk, in MB, ours and the base apart; at most 350 in all
+size: ## print the size of the image cazsl on disk in MB; fails over 350
 	@$(DU) --summarize --total --one-file-system --block-size=1MB /opt/cazsl /srv/models / \
 	| awk '{ print } $$2 == "total" { all = $$1 } END { exit !all || all > 350 }'
 
-sbom: $(VENV)/dev ## say what the image holds, as CycloneDX, in build/sbom.json
+sbom: $(VENV)/dev ## write the contents of the image, as CycloneDX, to build/sbom.json
 	rm -rf build/sbom
 	$(PYTHON) -m venv --without-pip build/sbom
 	$(BIN)/python -m pip --python build/sbom/bin/python install --quiet --require-hashes --requirement deploy/locks/serving.txt
