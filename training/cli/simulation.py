@@ -8,8 +8,8 @@ from typing import Final
 import click
 
 from training.cli.errors import mend
-from training.inspection.statistics import likeness, missed
-from training.inspection.text import likeness_lines
+from training.inspection.statistics import compare_statistics, missed
+from training.inspection.text import statistics_lines
 from training.omnipush.published import different_surfaces, omnipush_descriptors, published_normalisation
 from training.omnipush.pushes import read_folder
 from training.omnipush.views import VIEWS_FOLDER, read_views
@@ -54,7 +54,7 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
     click.echo(f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, ", nl=False)
     pushers, outcomes = found.rows()
     click.echo(f"{100 * missed(outcomes).mean():.2f} % missed the object; sha256 {found.digest}")
-    click.echo("\n".join(likeness_lines(likeness(pushers, outcomes, published_normalisation()))))
+    click.echo("\n".join(statistics_lines(compare_statistics(pushers, outcomes, published_normalisation()))))
 
 
 @click.command("images")

@@ -1,6 +1,6 @@
-"""A dataset to look at: histograms, a gallery of pushes, statistics beside the published ones.
+"""Report page of a dataset: histograms, a gallery of pushes, statistics beside the published ones.
 
-Works on any folder of pushes, simulated or real; every page says which it is.
+The page can be written for any folder of pushes. Its title is the source that the folder declares, simulated or not.
 """
 
 from pathlib import Path
@@ -15,7 +15,7 @@ from matplotlib.path import Path as DrawnPath
 
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
-from training.inspection.statistics import likeness, missed
+from training.inspection.statistics import compare_statistics, missed
 from training.omnipush.published import published_normalisation
 from training.omnipush.pushes import Pushes
 from training.simulation.scene import PUSHER_RADIUS_M
@@ -34,18 +34,25 @@ _START, _END, _PUSHER = "#b8bcc4", "#2563a8", "#c2410c"
 
 
 def write_report(pushes: Pushes, out: Path, seed: int = 0) -> tuple[Path, ...]:
-    """Write ``report.md`` with its two pictures into a folder; the files written."""
+    """Write ``report.md`` with its two images into a folder.
+
+    Returns:
+        The paths of the files written: page, histograms, gallery.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
     out.mkdir(parents=True, exist_ok=True)
     files = tuple(out / name for name in (REPORT_FILE, HISTOGRAMS_FILE, GALLERY_FILE))
     files[0].write_text(report(pushes), encoding="utf-8")
-    # no dates and versions in the pictures: the same data gives the same file
+    # without dates and versions in the images, so that equal data give equal files
     histograms(pushes).savefig(files[1], dpi=110, metadata={"Software": None})
     gallery(pushes, seed).savefig(files[2], dpi=110, metadata={"Software": None})
     return files
 
 
 def report(pushes: Pushes) -> str:
-    """The Markdown page."""
+    """Return the Markdown page."""
     pushers, outcomes = pushes.rows()
     distance_mm, turn_deg = _displacement_mm(outcomes), np.degrees(outcomes[:, 2])
     lines = [
@@ -59,7 +66,7 @@ def report(pushes: Pushes) -> str:
         *(
             f"| {row.quantity} | {row.mean:.5f} | {row.published_mean:.5f} | {row.std:.5f} | {row.published_std:.5f} | "
             f"{row.ratio:.3f} |"
-            for row in likeness(pushers, outcomes, published_normalisation())
+            for row in compare_statistics(pushers, outcomes, published_normalisation())
         ),
         "",
         "| quantile | " + " | ".join(f"{100 * q:.0f} %" for q in QUANTILES) + " |",
@@ -76,7 +83,7 @@ def report(pushes: Pushes) -> str:
 
 
 def histograms(pushes: Pushes) -> Figure:
-    """Where pushes start and point, how far objects go and how far they turn."""
+    """Draw histograms of start and direction of the pushes, and of displacement and rotation of the objects."""
     pushers, outcomes = pushes.rows()
     figure = Figure(figsize=(11.0, 6.4), layout="constrained")
     figure.suptitle(pushes.source)
@@ -97,9 +104,9 @@ def histograms(pushes: Pushes) -> Figure:
 
 
 def gallery(pushes: Pushes, seed: int = 0) -> Figure:
-    """Some pushes, drawn: start and end outline, the pusher's path of 50 mm, weights as dark discs.
+    """Draw some pushes: start and end outline, the pusher's path of 50 mm, weights as dark discs.
 
-    The pushes are drawn at random, of as many objects as there are; outlines are those of ``training.simulation.solids``.
+    Pushes are chosen at random, from as many objects as possible. Outlines are those of ``training.simulation.solids``.
     """
     rng = np.random.default_rng(seed)
     count = GALLERY_ROWS * GALLERY_COLUMNS
@@ -131,7 +138,7 @@ def _draw_push(place: Axes, descriptor: str, pusher: Array, outcome: Array) -> N
 def _draw_object(place: Axes, context: ObjectContext, pose: Array, colour: str, alpha: float) -> None:
     body = solid(context)
     turn = np.array([[np.cos(pose[2]), -np.sin(pose[2])], [np.sin(pose[2]), np.cos(pose[2])]])
-    # one path, so that pieces that meet or overlap show no seams
+    # a single path, so that pieces that touch or overlap show no seams
     outlines = [DrawnPath([*corners, corners[0]], closed=True) for corners in _moved(body.pieces, turn, pose)]
     outline = DrawnPath.make_compound_path(*outlines)
     place.add_patch(PathPatch(outline, facecolor=colour, edgecolor="none", alpha=alpha))

@@ -1,17 +1,17 @@
-"""Which objects of the published lists a surface holds, matched up to rotation by whole sides."""
+"""Published lists of objects, compared with the objects of a surface up to rotation by whole sides."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
-from training.inspection.findings import Finding, Severity
+from training.inspection.findings import DatasetFinding, Severity
 from training.omnipush.layout import SurfaceKind
-from training.omnipush.object_identity import by_kind, canonical_descriptor, named
+from training.omnipush.object_identity import canonical_descriptor, counted, group_by_object
 from training.omnipush.published import different_objects, different_surfaces
 
 
 @dataclass(frozen=True)
 class PublishedList:
-    """A published list of objects, by what a folder has of it; names as published."""
+    """Published list of objects, divided into those that a folder has and those that it lacks."""
 
     name: str
     present: tuple[str, ...]
@@ -20,43 +20,44 @@ class PublishedList:
 
 @dataclass(frozen=True)
 class Membership:
-    """The published lists of a surface, and what is beside them; names of ``turned`` and ``extra`` are the files'."""
+    """Published lists of a surface, and the descriptors of files that are turned or in no list."""
 
     lists: tuple[PublishedList, ...]
-    turned: tuple[str, ...]  # published objects under another turn of their descriptor
+    turned: tuple[str, ...]  # published objects under a turned descriptor
     extra: tuple[str, ...]  # objects of no list
 
-    def findings(self, where: str) -> Iterator[Finding]:
-        """Published objects that are missing, and objects that no set-up uses."""
+    def findings(self, where: str) -> Iterator[DatasetFinding]:
+        """Find published objects that are missing, and objects that no set-up uses."""
         for found in self.lists:
             if found.missing:
                 count = len(found.present) + len(found.missing)
                 text = (
-                    f"missing of the {count} published to {found.name}: {named(found.missing)}; fetch or simulate them"
+                    f"missing of the {count} published to {found.name}: {counted(found.missing)}; "
+                    "fetch or simulate them"
                 )
-                yield Finding(Severity.ERROR, "objects-missing", where, text)
+                yield DatasetFinding(Severity.ERROR, "objects-missing", where, text)
         if self.extra:
-            text = f"in no published list: {named(self.extra)}; no set-up uses them"
-            yield Finding(Severity.WARNING, "objects-extra", where, text)
+            text = f"in no published list: {counted(self.extra)}; no set-up uses them"
+            yield DatasetFinding(Severity.WARNING, "objects-extra", where, text)
 
 
 def membership(surface: SurfaceKind, descriptors: Sequence[str]) -> Membership:
-    """Compare the objects of a folder with what was published of its surface."""
-    there = by_kind(descriptors)
+    """Compare the objects of a folder with the published lists of its surface."""
+    present = group_by_object(descriptors)
     published = dict(_published(surface))
     names = {name for objects in published.values() for name in objects}
-    kinds = by_kind(names)
+    known = group_by_object(names)
     return Membership(
         lists=tuple(
             PublishedList(
                 name,
-                tuple(thing for thing in objects if canonical_descriptor(thing) in there),
-                tuple(thing for thing in objects if canonical_descriptor(thing) not in there),
+                tuple(item for item in objects if canonical_descriptor(item) in present),
+                tuple(item for item in objects if canonical_descriptor(item) not in present),
             )
             for name, objects in published.items()
         ),
-        turned=tuple(name for name in descriptors if name not in names and canonical_descriptor(name) in kinds),
-        extra=tuple(name for name in descriptors if canonical_descriptor(name) not in kinds),
+        turned=tuple(name for name in descriptors if name not in names and canonical_descriptor(name) in known),
+        extra=tuple(name for name in descriptors if canonical_descriptor(name) not in known),
     )
 
 

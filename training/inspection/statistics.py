@@ -1,4 +1,4 @@
-"""How like the published Omnipush a set of pushes is: its statistics beside the published ones."""
+"""Statistics of a set of pushes beside the published ones of Omnipush."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -17,14 +17,14 @@ QUANTITIES: Final = (
     "object y_m",
     "object yaw_rad",
 )
-# A push that moved the object by less than both has missed it: beyond what a tracker's noise does to a still one.
+# A push that moved the object by less than both missed it. Both limits are above the tracker's noise.
 CONTACT_DISPLACEMENT_M: Final = 0.001
 CONTACT_TURN_RAD: Final = 0.015
 
 
 @dataclass(frozen=True)
-class Likeness:
-    """Mean and standard deviation of one quantity here and as published, SI units."""
+class QuantityStatistics:
+    """Statistics of one quantity: mean and standard deviation here and as published, in SI units."""
 
     quantity: str
     mean: float
@@ -34,12 +34,12 @@ class Likeness:
 
     @property
     def ratio(self) -> float:
-        """The standard deviation here over the published one."""
+        """Ratio of the standard deviation here to the published one."""
         return self.std / self.published_std
 
 
-def likeness(pushers: Array, outcomes: Array, published: Normalisation) -> tuple[Likeness, ...]:
-    """The six quantities of pushes, [n, 3] each, beside the published statistics."""
+def compare_statistics(pushers: Array, outcomes: Array, published: Normalisation) -> tuple[QuantityStatistics, ...]:
+    """Compute the statistics of the six quantities of pushes, [n, 3] each, beside the published ones."""
     values = np.column_stack([pushers, outcomes])
     numbers = np.column_stack(
         [
@@ -49,10 +49,10 @@ def likeness(pushers: Array, outcomes: Array, published: Normalisation) -> tuple
             np.concatenate([published.input_std, published.output_std]),
         ]
     )
-    return tuple(Likeness(name, *row) for name, row in zip(QUANTITIES, numbers.tolist(), strict=True))
+    return tuple(QuantityStatistics(name, *row) for name, row in zip(QUANTITIES, numbers.tolist(), strict=True))
 
 
 def missed(outcomes: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
-    """Which pushes did not move the object; outcomes (..., 3)."""
+    """Return a mask, (...), of the pushes that did not move the object, from outcomes (..., 3)."""
     still = np.hypot(outcomes[..., 0], outcomes[..., 1]) < CONTACT_DISPLACEMENT_M
     return np.asarray(still & (np.abs(outcomes[..., 2]) < CONTACT_TURN_RAD))

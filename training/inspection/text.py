@@ -1,19 +1,19 @@
-"""An inspection as a person reads it, and as a program does."""
+"""Text and JSON of an inspection."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
-from training.inspection.findings import Finding, Severity
+from training.inspection.findings import DatasetFinding, Severity
 from training.inspection.inspection import Inspection, SurfaceReport
 from training.inspection.object_lists import Membership
-from training.inspection.statistics import Likeness
+from training.inspection.statistics import QuantityStatistics
 from training.omnipush.layout import SurfaceKind
 
-SHOWN: Final = 20  # findings of one kind; --json has all of them
+SHOWN: Final = 20  # findings of one severity in the text; --json has all of them
 
 
 def inspection_lines(inspection: Inspection) -> Iterator[str]:
-    """The report, what is odd, and what to do next."""
+    """Return the lines of the report, the findings, and the next step."""
     for report in inspection.surfaces:
         yield from _surface_lines(report)
         yield ""
@@ -29,19 +29,19 @@ def inspection_lines(inspection: Inspection) -> Iterator[str]:
 
 
 def next_step(inspection: Inspection) -> str:
-    """The last line: what to do now."""
+    """Return the last line: the number of findings, and the next step."""
     errors, warnings = (len(inspection.of(severity)) for severity in Severity)
-    told = f"{errors} {'error' if errors == 1 else 'errors'}, {warnings} {'warning' if warnings == 1 else 'warnings'}"
+    count = f"{errors} {'error' if errors == 1 else 'errors'}, {warnings} {'warning' if warnings == 1 else 'warnings'}"
     if not inspection.fit_to_train_on:
-        return f"{told}; next: mend the errors, then cazsl-train data check {inspection.folder}"
+        return f"{count}; next: fix the errors, then cazsl-train data check {inspection.folder}"
     trained = [report.folder for report in inspection.surfaces if report.surface is SurfaceKind.ABS]
     if not trained:
-        return f"{told}; next: train on ABS and use this surface to test: cazsl-train fit push-indicator"
-    return f"{told}; next: cazsl-train fit push-indicator --data {trained[0]}"
+        return f"{count}; next: train on ABS and use this surface to test: cazsl-train fit push-indicator"
+    return f"{count}; next: cazsl-train fit push-indicator --data {trained[0]}"
 
 
 def inspection_document(inspection: Inspection) -> dict[str, Any]:
-    """The report for programs; SI units, names as in the text."""
+    """Return the report as a JSON document, in SI units, with the names of the text."""
     return {
         "folder": str(inspection.folder),
         "fit_to_train_on": inspection.fit_to_train_on,
@@ -54,8 +54,8 @@ def inspection_document(inspection: Inspection) -> dict[str, Any]:
     }
 
 
-def likeness_lines(figures: Iterable[Likeness]) -> Iterator[str]:
-    """Statistics beside the published ones, as a table."""
+def statistics_lines(figures: Iterable[QuantityStatistics]) -> Iterator[str]:
+    """Return the lines of a table of statistics beside the published ones."""
     yield f"{'':18}{'mean':>10}{'published':>11}{'std':>10}{'published':>11}{'ratio':>7}"
     for figure in figures:
         yield (
@@ -64,8 +64,8 @@ def likeness_lines(figures: Iterable[Likeness]) -> Iterator[str]:
         )
 
 
-def _located(finding: Finding) -> str:
-    """The message; it names its file itself, or the surface is put in front."""
+def _located(finding: DatasetFinding) -> str:
+    """Return the message, with the surface in front unless the message names its file."""
     return finding.message if finding.where in finding.message else f"{finding.where}: {finding.message}"
 
 
@@ -76,9 +76,9 @@ def _surface_lines(report: SurfaceReport) -> Iterator[str]:
     yield f"  objects  {report.objects}: {_members(report.membership)}"
     yield f"  pushes   {report.pushes}, {fewest} to {most} an object, median {median:g}"
     yield f"  files    {report.raw_pairs} raw pairs, {report.normalised_pairs} normalised; {precisions}"
-    yield f"  contact  {100 * report.missed_share:.2f} % of the pushes moved nothing"
+    yield f"  contact  {100 * report.missed_share:.2f} % of the pushes did not move the object"
     yield f"  views    {report.views} of {report.objects} objects have a top-down view"
-    yield from (f"  {line}" for line in likeness_lines(report.figures))
+    yield from (f"  {line}" for line in statistics_lines(report.figures))
 
 
 def _members(found: Membership) -> str:

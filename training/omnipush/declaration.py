@@ -5,20 +5,17 @@ from pathlib import Path
 from typing import Any, Final
 
 from service.errors import DataError
-from training.omnipush.files import (
-    write_whole,
-    writing,
-)
+from training.omnipush.npy_files import write_whole, writing
 
 DATASET_FILE: Final = "dataset.json"
 UNKNOWN_SOURCE: Final = "Omnipush-format files of undeclared origin"
 
 
 def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
-    """Write down what a folder holds before anything is in it, or check that it is what is already there.
+    """Write the declaration of an empty folder, or check that a folder already has the same one.
 
     Raises:
-        DataError: the folder holds something else, or cannot be written.
+        DataError: The folder holds other data, or cannot be written.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -28,16 +25,16 @@ def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
         if path.read_bytes() != text.encode():
             raise DataError(f"{path} declares another dataset; give an empty folder, or remove this one")
     elif any(folder.glob("*.npy")):
-        raise DataError(f"{folder} already holds pushes that nothing declares as simulated; give an empty folder")
+        raise DataError(f"{folder} already holds files that are not declared as simulated; give an empty folder")
     else:
         write_whole(path, text.encode())
 
 
 def copy_declaration(folder: Path, target: Path) -> None:
-    """Make a target for the pushes of a folder: declared as that folder is, or empty of pushes where nothing is.
+    """Make a target folder for the pushes of a folder, and copy the declaration if there is one.
 
     Raises:
-        DataError: the target holds something else, or cannot be written.
+        DataError: The target holds other data, or cannot be written.
     """
     path = folder / DATASET_FILE
     if path.is_file():
@@ -51,17 +48,26 @@ def copy_declaration(folder: Path, target: Path) -> None:
 
 
 def read_source(folder: Path) -> str:
-    """Where the pushes of a folder come from, as it declares; undeclared origin is called that.
+    """Return the source that a folder of pushes declares, or ``UNKNOWN_SOURCE`` without a declaration.
 
     Raises:
-        DataError: the declaration does not say.
+        DataError: The declaration names no source.
+    """
+    return read_declared(folder, "source", UNKNOWN_SOURCE)
+
+
+def read_declared(folder: Path, key: str, default: str) -> str:
+    """Return the text under a key of a folder's declaration, or the default without a declaration.
+
+    Raises:
+        DataError: The declaration is not JSON, or lacks the key.
     """
     path = folder / DATASET_FILE
     if not path.is_file():
-        return UNKNOWN_SOURCE
+        return default
     try:
-        return str(json.loads(path.read_text(encoding="utf-8"))["source"])
+        return str(json.loads(path.read_text(encoding="utf-8"))[key])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(
-            f"{path} does not say where the pushes come from (key 'source'); restore or remove it"
+            f"{path} is not JSON with a key '{key}'; restore or remove it, or name another folder"
         ) from error

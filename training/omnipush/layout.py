@@ -1,13 +1,13 @@
-"""How a copy of Omnipush is laid out: a folder per surface, and the top-down views in a folder of their own.
+"""Folder layout of a copy of Omnipush: a folder per surface, and a folder of top-down views.
 
-The published tree (``ftp://omnipush.mit.edu/omnipush/``), whose names are met as they are::
+The published tree (``ftp://omnipush.mit.edu/omnipush/``), whose names are accepted unchanged::
 
     meta-learning_data/0,1,2_weights/   pushes on ABS, 250 objects
     meta-learning_data/plywood/         pushes on plywood, 10 objects
     top-down_view/{0,1,2}_weight/       shape_<descriptor>.npy, 481 x 481
 
-This project writes ``abs/``, ``plywood/`` and ``top-down_view/`` side by side. A reader is given a surface's folder or
-one above it.
+This project writes ``abs/``, ``plywood/`` and ``top-down_view/`` side by side. A reader is given the folder of one
+surface or a folder above it.
 """
 
 from enum import StrEnum
@@ -17,21 +17,21 @@ from typing import Final
 from service.errors import DataError
 from training.omnipush.files import holds_pushes
 
-_DEPTH: Final = 2  # folders between the one named and the pushes: meta-learning_data/plywood
+_DEPTH: Final = 2  # levels below the folder named that are searched: meta-learning_data/plywood
 
 
 class SurfaceKind(StrEnum):
-    """What the objects lie on."""
+    """Material of the surface under the objects."""
 
     ABS = "abs"
     PLYWOOD = "plywood"
 
 
 def surface_folders(folder: Path) -> list[Path]:
-    """The folder itself, or else those nearest below it, that hold pushes; sorted.
+    """Find the folders of pushes: the folder itself, or else the nearest ones below it, sorted.
 
     Raises:
-        DataError: a folder cannot be listed.
+        DataError: A folder cannot be listed.
     """
     level = [folder]
     for _ in range(_DEPTH + 1):
@@ -43,12 +43,12 @@ def surface_folders(folder: Path) -> list[Path]:
 
 
 def surface_kind(folder: Path) -> SurfaceKind:
-    """Plywood where the folder's name says so; everything else is ABS, as the release's main folder is."""
+    """Return plywood if the folder's name contains it, otherwise ABS, the surface of the release's main folder."""
     return SurfaceKind.PLYWOOD if SurfaceKind.PLYWOOD in folder.resolve().name.lower() else SurfaceKind.ABS
 
 
 def view_places(folder: Path, surfaces: list[Path]) -> set[Path]:
-    """Where the folder of top-down views may stand: in the folder named or a surface's, or beside them."""
+    """Return the folders that may contain the folder of views: those named, those of surfaces, and their parents."""
     inside = {folder.resolve(), *(path.resolve() for path in surfaces)}
     return inside | {path.parent for path in inside} | {path.parent.parent for path in inside - {folder.resolve()}}
 
@@ -58,5 +58,5 @@ def _folders(folder: Path) -> list[Path]:
         return sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
     except OSError as error:
         raise DataError(
-            f"{folder} cannot be listed ({error.strerror}); mend its permissions or name another folder"
+            f"{folder} cannot be listed ({error.strerror}); check its permissions, or name another folder"
         ) from error

@@ -1,4 +1,4 @@
-"""What was published of Omnipush beside its files: normalisation statistics, and the divisions of its objects.
+"""Published facts of Omnipush beside its files: normalisation statistics, and splits into training and test objects.
 
 The figures are in ``omnipush_facts.json``, which names its sources.
 """
@@ -27,58 +27,58 @@ class Normalisation:
     output_std: npt.NDArray[np.float64]
 
     def normalised(self, pushers: Array, outcomes: Array) -> tuple[Array, Array]:
-        """SI units as the release's normalised files hold them."""
+        """Convert pushes from SI units to the units of the release's normalised files."""
         return (pushers - self.input_mean) / self.input_std, (outcomes - self.output_mean) / self.output_std
 
     def in_si(self, pushers: Array, outcomes: Array) -> tuple[Array, Array]:
-        """What the release's normalised files hold in SI units."""
+        """Convert pushes from the units of the release's normalised files to SI units."""
         return pushers * self.input_std + self.input_mean, outcomes * self.output_std + self.output_mean
 
 
 @dataclass(frozen=True)
 class Split:
-    """Which objects a set-up trains on and which it holds out."""
+    """Split of the objects of a set-up into training objects and held-out test objects."""
 
     name: str
     train: tuple[str, ...]
     test: tuple[str, ...]
-    test_surface: str | None = None  # the folder beside that of the training objects; None: the same folder
+    test_surface: str | None = None  # name of the folder beside that of the training objects, None for the same one
 
 
 @cache
 def _facts() -> dict[str, Any]:
-    """The published facts of Omnipush that ship with the trainer; the file names its sources."""
+    """Read the published facts that ship with the trainer."""
     text = resources.files("training.omnipush").joinpath("omnipush_facts.json").read_text(encoding="utf-8")
     facts: dict[str, Any] = json.loads(text)
     return facts
 
 
 def published_normalisation() -> Normalisation:
-    """The published statistics of Omnipush, used for every dataset."""
+    """Return the published statistics of Omnipush, used for every dataset."""
     facts = _facts()["normalisation"]
     names = ("input_mean", "input_std", "output_mean", "output_std")
     return Normalisation(*(np.array(facts[name], dtype=np.float64) for name in names))
 
 
 def different_objects() -> Split:
-    """The published division of the 250 ABS objects: 200 to train on, 50 held out."""
+    """Return the published split of the 250 ABS objects: 200 to train on, 50 held out."""
     facts = _facts()["different_objects"]
     return Split("different-objects", tuple(facts["train"]), tuple(facts["test"]))
 
 
 def all_objects() -> Split:
-    """All 250 ABS objects to train on, none held out: for a model to serve, once its recipe was measured."""
+    """Return all 250 ABS objects to train on, none held out: for a model to serve, after its recipe was measured."""
     return Split("all-objects", omnipush_descriptors(), ())
 
 
 def different_surfaces() -> Split:
-    """All 250 objects on ABS to train on, 10 objects on plywood held out; 9 of them are among the 250."""
+    """Return all 250 objects on ABS to train on, and 10 held out on plywood, of which 9 are among the 250."""
     test = tuple(_facts()["different_surfaces"]["test_plywood"])
     return Split("different-surfaces", omnipush_descriptors(), test, test_surface="plywood")
 
 
 def different_weights(held_out: int) -> Split:
-    """Objects with this many weights (0, 1 or 2) held out, all others to train on."""
+    """Return the split that holds out the objects with this many weights (0, 1 or 2) and trains on all others."""
     found = omnipush_descriptors()
     test = tuple(name for name in found if weight_count(name) == held_out)
     train = tuple(name for name in found if weight_count(name) != held_out)
@@ -86,11 +86,11 @@ def different_weights(held_out: int) -> Split:
 
 
 def weight_count(descriptor: str) -> int:
-    """How many sides of an object carry a weight."""
+    """Return the number of sides of an object that carry a weight."""
     return sum(side.weight != "a" for side in ObjectContext.from_descriptor(descriptor).sides)
 
 
 def omnipush_descriptors() -> tuple[str, ...]:
-    """All 250 objects of the benchmark, sorted."""
+    """Return the descriptors of all 250 objects of the benchmark, sorted."""
     split = different_objects()
     return tuple(sorted(split.train + split.test))

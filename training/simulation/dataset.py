@@ -1,10 +1,12 @@
-"""Pushes in MuJoCo, recorded as Omnipush records them, written in its own file format.
+"""Datasets of pushes simulated in MuJoCo, recorded as Omnipush records them, in Omnipush's file format.
 
-The object lies anywhere on the plate at any yaw; the pusher moves in a straight line at constant speed for 50 mm and
-does not feel the object. What differs from push to push is where it starts and aims (``sample_pushers``) and what
-nobody records (``surfaces.Conditions``); a tracker with noise then sees both (``record``). Every object has random
-streams of its own, so that the files depend on the seed: not on the order, on the number of threads, or on
-interruptions. (Nor, but for last digits, on the processor: ``docs/data.md``, which lists assumptions beyond the paper.)
+The object lies anywhere on the plate at any yaw. The pusher moves in a straight line at constant speed for 50 mm, and
+the object does not deflect it. Pushes differ in start and aim of the pusher (``sample_pushers``) and in conditions that
+are not recorded (``surfaces.Conditions``). A noisy tracker then measures the poses (``record``).
+
+Every object has random streams of its own, so the files depend on the seed. They do not depend on the order of objects,
+the number of threads, or interruptions, and on the processor only in last digits. ``docs/data.md`` lists assumptions
+beyond the paper.
 """
 
 import copy
@@ -20,7 +22,7 @@ from mujoco import rollout
 from tqdm import tqdm
 
 from service.pushing.contexts import ObjectContext
-from service.pushing.poses import PUSH_LENGTH_M
+from service.pushing.poses import PUSH_LENGTH_M, into_object_frame
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.pushes import has_object, write_object
 from training.simulation.scene import PUSHER_RADIUS_M, TIME_STEP_S, scene
@@ -31,17 +33,17 @@ PUSH_DURATION_S: Final = 1.4
 START_RADIUS_M: Final = (0.0755, 0.085)  # of the pusher's start around the object's centre
 AIM_RADIUS_M: Final = 0.024  # the push is aimed at a point of this disc around the object's centre
 START_CLEARANCE_M: Final = 0.001
-SEGMENT_M: Final = 0.010  # of a push; from one to the next friction follows the feet over the plate
-# Yu et al. 2016, section IV: the tracker is accurate below 0.5 mm and 0.5 degrees, the robot to 0.1 mm; read as three
-# standard deviations.
+SEGMENT_M: Final = 0.010  # length of a push after which friction is updated to the feet's new places on the plate
+# Yu et al. 2016, section IV: the tracker is accurate below 0.5 mm and 0.5 degrees, the robot to 0.1 mm. These figures
+# are taken as three standard deviations.
 TRACKER_STD: Final = (0.00017, 0.00017, 0.0029)
 PUSHER_STD_M: Final = 0.00003
-_FREE, _SLIDES = 7, 2  # positions of the object's free joint, of the pusher's slides
+_FREE, _SLIDES = 7, 2  # number of positions of the object's free joint, of the pusher's slides
 
 
 @dataclass(frozen=True)
 class SimulationPlan:
-    """What to simulate: objects on a surface, pushes of each, the seed of it all."""
+    """Dataset to simulate: objects on a surface, pushes per object, and seed."""
 
     descriptors: tuple[str, ...]
     pushes_per_object: int = 250
@@ -49,7 +51,7 @@ class SimulationPlan:
     surface: Surface = ABS
 
     def declaration(self) -> dict[str, object]:
-        """What ``dataset.json`` says of the folder."""
+        """Return the content of the folder's ``dataset.json``."""
         name = self.surface.name
         return {
             "source": f"simulated pushes (MuJoCo {mujoco.__version__}, {name.upper()}, seed {self.seed})",
@@ -71,10 +73,13 @@ class SimulationPlan:
 
 
 def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = None, quiet: bool = False) -> int:
-    """Simulate every object that the folder does not hold yet; the number of pushes that were simulated.
+    """Simulate every object that the folder does not hold yet.
+
+    Returns:
+        The number of pushes simulated.
 
     Raises:
-        DataError: the folder holds another dataset.
+        DataError: The folder holds another dataset, or cannot be written.
     """
     declare_dataset(folder, plan.declaration())
     missing = [descriptor for descriptor in plan.descriptors if not has_object(folder, descriptor)]
@@ -84,7 +89,7 @@ def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = N
     with rollout.Rollout(nthread=threads) as pool:
         for descriptor in tqdm(missing, desc=f"pushing on {plan.surface.name}", unit="object", disable=quiet):
             body = solid(ObjectContext.from_descriptor(descriptor))
-            # the names' bytes make a stream that no other object or surface shares
+            # seeded with the names' bytes, so that no other object or surface shares the stream
             rng = np.random.default_rng([plan.seed, *f"{plan.surface.name} {descriptor}".encode()])
             pushers = sample_pushers(body, plan.pushes_per_object, rng)
             conditions = draw_conditions(plan.surface, field, len(pushers), rng)
@@ -94,7 +99,7 @@ def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = N
 
 
 def sample_pushers(body: Solid, count: int, rng: np.random.Generator) -> Array:
-    """Random pusher poses around an object, none of them touching it; (count, 3), x_m, y_m, angle_rad."""
+    """Draw random pusher poses around an object that do not touch it, (count, 3): x_m, y_m, angle_rad."""
     found = np.empty((0, 3))
     while len(found) < count:
         start = _polar(rng.uniform(*START_RADIUS_M, count), rng)
@@ -115,9 +120,12 @@ def push_object(
     time_step_s: float = TIME_STEP_S,
     push_length_m: float = PUSH_LENGTH_M,
 ) -> Array:
-    """The object's true pose after each push, in the object frame before it; (n, 3), x_m, y_m, yaw_rad.
+    """Simulate pushes of one object.
 
-    Another length or time step than the dataset's serve to validate the simulator; the pusher's speed stays.
+    A length or time step other than the dataset's serves to validate the simulator. The pusher's speed stays the same.
+
+    Returns:
+        The object's true pose after each push, in the object frame before it, (n, 3): x_m, y_m, yaw_rad.
     """
     spec = scene(body)
     spec.option.timestep = time_step_s
@@ -139,38 +147,38 @@ def push_object(
 
 
 def record(pushers: Array, outcomes: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """What a tracker with noise writes down of pushes and outcomes, (n, 3) each, in the frame that it measured.
+    """Add tracker noise to pushes and outcomes, (n, 3) each, and express them in the measured object frame.
 
-    The object's pose is measured before and after the push, so the recorded frame itself is a little off.
+    The object's pose is measured before and after the push, so the recorded frame itself has an error.
     """
     before, after = (rng.normal(0.0, TRACKER_STD, (len(pushers), 3)) for _ in range(2))
-    seen = pushers + rng.normal(0.0, 1.0, pushers.shape) * (PUSHER_STD_M, PUSHER_STD_M, 0.0)
-    return relative(seen, before), relative(outcomes + after, before)
+    measured = pushers + rng.normal(0.0, 1.0, pushers.shape) * (PUSHER_STD_M, PUSHER_STD_M, 0.0)
+    return relative(measured, before), relative(outcomes + after, before)
 
 
 def relative(poses: Array, frames: Array) -> Array:
-    """Poses (n, 3) seen from frames (n, 3), both given in one outer frame; angles in (-pi, pi]."""
-    away = poses[:, :2] - frames[:, :2]
-    cos, sin = np.cos(frames[:, 2]), np.sin(frames[:, 2])
-    angle = poses[:, 2] - frames[:, 2]
-    x, y = cos * away[:, 0] + sin * away[:, 1], cos * away[:, 1] - sin * away[:, 0]
-    return np.column_stack([x, y, np.arctan2(np.sin(angle), np.cos(angle))])
+    """Express poses (n, 3) in frames (n, 3), both given in one outer frame, with angles in [-pi, pi]."""
+    found = into_object_frame(poses, frames)
+    # arctan2 rather than ``wrap_angles``, which differs in last digits: published datasets have these bits
+    angle = found[:, 2].copy()  # contiguous, as numpy may compute strided arrays with other last digits
+    found[:, 2] = np.arctan2(np.sin(angle), np.cos(angle))
+    return found
 
 
 def _placed(points: Array, poses: Array) -> Array:
-    """Points (k, 2) of an object at each of the poses (n, 3); (n, k, 2)."""
+    """Transform points (k, 2) of an object to each of the poses (n, 3): (n, k, 2)."""
     cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
     x, y = points.T
     return np.asarray(poses[:, None, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1))
 
 
 def _initial_states(model: mujoco.MjModel, pushers: Array, world_poses: Array) -> Array:
-    """Full physics states: the object where it lies, the pusher at its start and at full speed."""
+    """Return full physics states, (n, size): the object at rest, the pusher at its start and at full speed."""
     kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
     rest = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, mujoco.MjData(model), rest, kind)
     state = np.tile(rest, (len(pushers), 1))
-    positions, velocities = 1, 1 + model.nq  # after the time
+    positions, velocities = 1, 1 + model.nq  # offsets; the time comes first
     yaw, heading = world_poses[:, 2], world_poses[:, 2] + pushers[:, 2]
     state[:, positions : positions + 2] = world_poses[:, :2]
     state[:, positions + 3], state[:, positions + 6] = np.cos(yaw / 2), np.sin(yaw / 2)
@@ -184,7 +192,7 @@ def _initial_states(model: mujoco.MjModel, pushers: Array, world_poses: Array) -
 
 
 def _object_poses(state: Array) -> Array:
-    """The object's planar poses in the world, (n, 3), of full physics states."""
+    """Return the object's planar poses in the world, (n, 3), from full physics states."""
     x, y, _, w, _, _, z = state[:, 1 : 1 + _FREE].T
     return np.column_stack([x, y, 2.0 * np.arctan2(z, w)])
 
@@ -195,7 +203,7 @@ def _polar(radius: Array, rng: np.random.Generator) -> Array:
 
 
 def _reference_scene() -> str:
-    """Geometry, masses, friction and solver settings as text, for an object with every shape and weight."""
+    """Return geometry, masses, friction and solver settings as text, for an object with every shape and weight."""
     spec = scene(solid(ObjectContext.from_descriptor("1b2C3c4a")))
     spec.compile()
     return str(spec.to_xml())

@@ -1,9 +1,8 @@
-"""Top-down views of Omnipush objects: drawn from their geometry, written and read in Omnipush's own file format.
+"""Top-down views of Omnipush objects, drawn from their geometry and written in Omnipush's file format.
 
-A folder of views holds ``shape_<descriptor>.npy``, 481 x 481, one grey level per pixel, as published; the release sorts
-them into ``0_weight``, ``1_weight`` and ``2_weight``, which are looked into as well. What a level means, and where the
-object's axes point, is ``service.pushing.images.IMAGE_CONVENTION``. Neither is published for the real files, nor is their type:
-ours are uint8, and any numeric type is read. A folder that this project drew says so in ``dataset.json``.
+A folder of views holds ``shape_<descriptor>.npy``, 481 x 481 uint8, one grey level per pixel. The meaning of a level
+and the directions of the object's axes are those of ``service.pushing.images.IMAGE_CONVENTION``. Neither is published
+for the files of the release. A folder that this project drew has a declaration, ``dataset.json``.
 """
 
 import hashlib
@@ -24,8 +23,8 @@ from service.pushing.images import (
     IMAGE_CONVENTION,
 )
 from training.omnipush.declaration import declare_dataset
-from training.omnipush.files import write_array
-from training.omnipush.views import VIEW_PIXELS, View, _file_name
+from training.omnipush.npy_files import write_npy
+from training.omnipush.views import VIEW_PIXELS, View, view_file_name
 from training.simulation.camera import camera_view
 from training.simulation.solids import WEIGHT_RADIUS_M, Polygon, Weight, clearance_m, solid
 
@@ -36,12 +35,12 @@ Plane = npt.NDArray[np.float64]
 
 
 def top_down_view(context: ObjectContext) -> View:
-    """The object as seen from straight above, uint8 [481, 481], by ``IMAGE_CONVENTION``."""
+    """Draw an object as seen from straight above, uint8 [481, 481], by ``IMAGE_CONVENTION``."""
     body = solid(context)
     coverage = np.zeros((VIEW_PIXELS, VIEW_PIXELS))
     for piece in body.pieces:
         _add_coverage(coverage, piece)
-    # Pieces touch but do not overlap: on a seam each covers half of a pixel.
+    # Pieces touch but do not overlap. On a seam each covers half of a pixel.
     levels = BACKGROUND_LEVEL + np.minimum(coverage, 1.0) * (BODY_LEVEL - BACKGROUND_LEVEL)
     for weight in body.weights:
         disc = _disc_coverage(weight)
@@ -50,12 +49,12 @@ def top_down_view(context: ObjectContext) -> View:
 
 
 def weight_level(mass_kg: float) -> float:
-    """How bright a weight is: in proportion to its mass, from the body's level up to white."""
+    """Return the grey level of a weight, 0..1: proportional to its mass, from the body's level up to white."""
     return BODY_LEVEL + (1.0 - BODY_LEVEL) * mass_kg / FULL_LEVEL_MASS_KG
 
 
 def photograph(descriptor: str, seed: int) -> View:
-    """The object's view as a camera would see it; the same for the same object and seed, whatever was drawn before."""
+    """Draw an object's view as a camera would see it. The image depends on object and seed alone."""
     rng = np.random.default_rng([seed, *b"camera", *descriptor.encode()])
     return camera_view(top_down_view(ObjectContext.from_descriptor(descriptor)), rng)
 
@@ -65,16 +64,17 @@ def write_views(
 ) -> None:
     """Draw every view that the folder does not hold yet, clean or as a camera sees it.
 
-    The files depend on object and seed alone, not on order, interruption, or who else draws into the folder.
+    The files depend on object and seed alone. Order, interruption and other processes that draw into the same folder
+    do not change them.
 
     Raises:
-        DataError: the folder holds something else, or cannot be written to.
+        DataError: The folder holds other data, or cannot be written.
     """
     declare_dataset(folder, _declaration(camera, seed))
-    missing = [descriptor for descriptor in descriptors if not (folder / _file_name(descriptor)).is_file()]
+    missing = [descriptor for descriptor in descriptors if not (folder / view_file_name(descriptor)).is_file()]
     for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
         view = photograph(descriptor, seed) if camera else top_down_view(ObjectContext.from_descriptor(descriptor))
-        write_array(folder / _file_name(descriptor), view)
+        write_npy(folder / view_file_name(descriptor), view)
 
 
 def _declaration(camera: bool, seed: int) -> dict[str, Any]:
@@ -90,7 +90,7 @@ def _declaration(camera: bool, seed: int) -> dict[str, Any]:
 
 
 def _add_coverage(coverage: Plane, piece: Polygon) -> None:
-    """Add how much of each pixel a convex piece covers, from the distance of the pixel's middle to the outline."""
+    """Add the share of each pixel that a convex piece covers, from the distance of its middle to the outline."""
     middle = VIEW_PIXELS // 2
     left, bottom = np.floor(piece.min(axis=0) / PIXEL_M).astype(int) - 1
     right, top = np.ceil(piece.max(axis=0) / PIXEL_M).astype(int) + 1
@@ -109,6 +109,6 @@ def _disc_coverage(weight: Weight) -> Plane:
 
 
 def _pixel_positions() -> tuple[Plane, Plane]:
-    """Metres along x of each column (1, 481) and along y of each row (481, 1): x points right, y points up."""
+    """Return metres along x of each column (1, 481) and along y of each row (481, 1): x points right, y points up."""
     offset_m = (np.arange(VIEW_PIXELS, dtype=np.float64) - VIEW_PIXELS // 2) * np.float64(PIXEL_M)
     return offset_m[None, :], -offset_m[:, None]

@@ -1,8 +1,9 @@
-"""The table, one object and the pusher as a MuJoCo model.
+"""Scene of a push as a MuJoCo model: the table, one object and the pusher.
 
 The object rests on small feet on a rigid plate, so that weights shift the pressure under it. The pusher, a steel rod,
-is a sphere at mid-height of the object, since the walls are vertical and a line contact's height is undetermined. Its
-mass is so large that it coasts: the object's push-back slows it by less than 10 micrometres over the push.
+is modelled as a sphere at mid-height of the object, because the walls are vertical and the height of a line contact is
+undetermined. The pusher coasts with a very large mass: the object's reaction slows it by less than 10 micrometres over
+the push.
 """
 
 from typing import Final
@@ -16,15 +17,15 @@ from training.simulation.surfaces import CONTACT_FRICTION, EVEN
 TIME_STEP_S: Final = 0.004  # costs 0.2 mm and 7 mrad (rms), see benchmarks/time_step.py
 PUSHER_RADIUS_M: Final = 0.00475
 PUSHER_MASS_KG: Final = 1e5
-STIFF: Final = (2 * TIME_STEP_S, 1.0)  # of contacts, as much as the step allows: they give way by less than 0.1 mm
+STIFF: Final = (2 * TIME_STEP_S, 1.0)  # contact stiffness, the most that the step allows: less than 0.1 mm deep
 MIDDLE_M: Final = FOOT_RADIUS_M + HEIGHT_M / 2
-_WALLS: Final = 1  # collision bit of the pusher and what it meets; feet meet the table by declared pairs alone
+_WALLS: Final = 1  # collision bit of pusher and walls; feet touch the table by declared pairs alone
 
 
 def scene(body: Solid) -> mujoco.MjSpec:
-    """The table, the object at the origin and the pusher, not yet compiled.
+    """Return the table, the object at the origin and the pusher, not yet compiled.
 
-    The free joint of the object comes first, the pusher's two slides after it; pair i is foot i on the table, its
+    The object's free joint comes first, then the pusher's two slide joints. Pair i is foot i on the table, with its
     friction first along the world's y axis, then along x.
     """
     spec = mujoco.MjSpec()
@@ -32,11 +33,11 @@ def scene(body: Solid) -> mujoco.MjSpec:
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.worldbody.add_geom(name="table", type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], contype=0, conaffinity=0)
-    thing = spec.worldbody.add_body(name="object")
-    thing.add_freejoint()
-    _add_walls(spec, thing, body)
+    pushed = spec.worldbody.add_body(name="object")
+    pushed.add_freejoint()
+    _add_walls(spec, pushed, body)
     for weight in body.weights:
-        thing.add_geom(
+        pushed.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             size=[WEIGHT_RADIUS_M, HEIGHT_M / 3, 0],
             pos=[weight.x_m, weight.y_m, MIDDLE_M],
@@ -44,18 +45,18 @@ def scene(body: Solid) -> mujoco.MjSpec:
             contype=0,
             conaffinity=0,
         )
-    _add_feet(spec, thing, body)
+    _add_feet(spec, pushed, body)
     _add_pusher(spec)
     return spec
 
 
-def _add_walls(spec: mujoco.MjSpec, thing: mujoco.MjsBody, body: Solid) -> None:
+def _add_walls(spec: mujoco.MjSpec, pushed: mujoco.MjsBody, body: Solid) -> None:
     for number, piece in enumerate(body.pieces):
         bottom, top = (
             np.column_stack([piece, np.full(len(piece), z)]) for z in (FOOT_RADIUS_M, FOOT_RADIUS_M + HEIGHT_M)
         )
         spec.add_mesh(name=f"piece{number}", uservert=np.concatenate([bottom, top]).ravel())
-        thing.add_geom(
+        pushed.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH,
             meshname=f"piece{number}",
             density=BODY_DENSITY_KG_M3,
@@ -64,9 +65,9 @@ def _add_walls(spec: mujoco.MjSpec, thing: mujoco.MjsBody, body: Solid) -> None:
         )
 
 
-def _add_feet(spec: mujoco.MjSpec, thing: mujoco.MjsBody, body: Solid) -> None:
+def _add_feet(spec: mujoco.MjSpec, pushed: mujoco.MjsBody, body: Solid) -> None:
     for number, (x_m, y_m) in enumerate(body.feet_m):
-        thing.add_geom(
+        pushed.add_geom(
             name=f"foot{number}",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[FOOT_RADIUS_M, 0, 0],
@@ -95,7 +96,7 @@ def _add_pusher(spec: mujoco.MjSpec) -> None:
         size=[PUSHER_RADIUS_M, 0, 0],
         mass=PUSHER_MASS_KG,
         friction=[CONTACT_FRICTION, 0.0, 0.0],
-        priority=1,  # its friction and stiffness are the contact's
+        priority=1,  # the contact has the pusher's friction and stiffness
         solref=STIFF,
         contype=0,
         conaffinity=_WALLS,

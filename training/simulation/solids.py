@@ -1,11 +1,11 @@
-"""Omnipush objects as solids: from a descriptor to convex pieces, weights and feet.
+"""Solids of Omnipush objects: convex pieces, weights and feet, from a descriptor.
 
-An object is a square core with four sides screwed on (Bauza et al., "Omnipush", IROS 2019): side 1 looks along +x,
-side 2 along +y, and so on counter-clockwise. Every side is drawn once, looking along +x, with its inner face on the
-core's face; ``solid`` turns it into place. Lengths are metres, masses kilograms.
+An object is a square core with four sides screwed on (Bauza et al., "Omnipush", IROS 2019): side 1 faces +x, side 2
+faces +y, and so on counter-clockwise. Every side is defined once, facing +x, with its inner face on the core's face.
+``solid`` turns it into place. Lengths are metres, masses kilograms.
 
-The release publishes shapes and weights but no drawing; the dimensions below are our assumption, chosen to agree with
-the top-down views: a core 58 mm square, sides as wide as the core and about half as deep. The body density stands for
+The release publishes shapes and weights but no drawing. The dimensions below are our assumption, chosen to agree with
+the top-down views: a core 58 mm square, sides as wide as the core and about half as deep. The body density is that of
 a printed shell with little infill.
 """
 
@@ -29,14 +29,14 @@ RECTANGLE_DEPTH_M: Final = 0.034
 TRIANGLE_DEPTH_M: Final = 0.040
 CIRCLE_RADIUS_M: Final = 0.029  # a half disc on the core's face, as wide as the core
 CONCAVE_DEPTH_M: Final = 0.034
-CONCAVE_BITE_HALF_WIDTH_M: Final = 0.025  # of the circular arc that is cut out of the outer face
+CONCAVE_BITE_HALF_WIDTH_M: Final = 0.025  # half width of the circular arc that is cut out of the outer face
 CONCAVE_BITE_DEPTH_M: Final = 0.014
 CONCAVE_SLABS: Final = 8  # convex pieces under the bite; a horn on either side makes two more
 ARC_CORNERS: Final = 24  # corners of a half disc
 
 WEIGHT_RADIUS_M: Final = 0.010
 WEIGHT_MASS_KG: Final = {"a": 0.0, "b": 0.060, "c": 0.150, "B": 0.060, "C": 0.150}
-# Distance of a weight from the object's centre: every side has a place near its inner face, a triangle one more at
+# Distance of a weight from the object's centre. Every side has a position near its inner face, a triangle also one at
 # its tip (B and C).
 INNER_WEIGHT_DISTANCE_M: Final = CORE_HALF_WIDTH_M + 0.008
 OUTER_WEIGHT_DISTANCE_M: Final = CORE_HALF_WIDTH_M + 0.022
@@ -48,7 +48,7 @@ SIDE_FOOT_DISTANCE_M: Final = CORE_HALF_WIDTH_M + 0.006  # of the foot under eac
 
 @dataclass(frozen=True)
 class Weight:
-    """A cylinder of extra mass inside a side."""
+    """Weight: a cylinder of extra mass inside a side."""
 
     x_m: float
     y_m: float
@@ -57,7 +57,7 @@ class Weight:
 
 @dataclass(frozen=True)
 class Solid:
-    """What a simulator or a picture needs of one object, in the object frame."""
+    """Geometry and masses of one object in the object frame, for the simulator and for drawings."""
 
     pieces: tuple[Polygon, ...]
     weights: tuple[Weight, ...]
@@ -65,7 +65,7 @@ class Solid:
 
 
 def concave_side() -> list[Polygon]:
-    """A block with a circular bite out of its outer face, cut into slabs that are convex."""
+    """Return a block with a circular bite out of its outer face, cut into convex slabs."""
     inner, outer = CORE_HALF_WIDTH_M, CORE_HALF_WIDTH_M + CONCAVE_DEPTH_M
     half, bite = CONCAVE_BITE_HALF_WIDTH_M, CONCAVE_BITE_DEPTH_M
     radius = (half**2 + bite**2) / (2.0 * bite)
@@ -79,19 +79,19 @@ def concave_side() -> list[Polygon]:
 
 
 def triangular_side() -> list[Polygon]:
-    """A triangle on the core's face, tip outwards."""
+    """Return a triangle on the core's face, with its tip outwards."""
     inner, half = CORE_HALF_WIDTH_M, CORE_HALF_WIDTH_M
     return [np.array([(inner, -half), (inner + TRIANGLE_DEPTH_M, 0.0), (inner, half)])]
 
 
 def circular_side() -> list[Polygon]:
-    """A half disc on the core's face."""
+    """Return a half disc on the core's face."""
     angles = np.linspace(-math.pi / 2, math.pi / 2, ARC_CORNERS)
     return [CIRCLE_RADIUS_M * np.stack([np.cos(angles), np.sin(angles)], axis=1) + (CORE_HALF_WIDTH_M, 0.0)]
 
 
 def rectangular_side() -> list[Polygon]:
-    """A plain block."""
+    """Return a plain block."""
     inner, outer, half = CORE_HALF_WIDTH_M, CORE_HALF_WIDTH_M + RECTANGLE_DEPTH_M, CORE_HALF_WIDTH_M
     return [np.array([(inner, -half), (outer, -half), (outer, half), (inner, half)])]
 
@@ -105,7 +105,7 @@ SIDE_SHAPES: Final[dict[str, Callable[[], list[Polygon]]]] = {
 
 
 def solid(context: ObjectContext) -> Solid:
-    """The object's core and sides as convex pieces, its weights and its feet."""
+    """Build the solid of an object: core and sides as convex pieces, weights and feet."""
     half = CORE_HALF_WIDTH_M
     pieces: list[Polygon] = [np.array([(-half, -half), (half, -half), (half, half), (-half, half)])]
     weights: list[Weight] = []
@@ -122,9 +122,9 @@ def solid(context: ObjectContext) -> Solid:
 
 
 def clearance_m(piece: Polygon, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """How far each point is from a convex piece, negative inside; points (n, 2), result (n,).
+    """Compute the signed distance of points (n, 2) from a convex piece in metres, (n,), negative inside.
 
-    Outside it is the distance to the nearest edge; inside the depth below the nearest edge's line.
+    Outside it is the distance to the nearest edge, inside the depth below the line of the nearest edge.
     """
     start, end = piece, np.roll(piece, -1, axis=0)
     edge = end - start  # (corners, 2)
@@ -141,7 +141,7 @@ def _weight_distance_m(side: Side) -> float:
 
 
 def _quarter_turn(count: int) -> npt.NDArray[np.float64]:
-    """An exact rotation by a multiple of 90 degrees."""
+    """Return an exact rotation matrix by a multiple of 90 degrees."""
     cosine, sine = ((1, 0), (0, 1), (-1, 0), (0, -1))[count % 4]
     return np.array([[cosine, -sine], [sine, cosine]], dtype=np.float64)
 

@@ -156,9 +156,9 @@ def other_size(folder: Path) -> None:
 
 
 BROKEN = [
-    pytest.param(cut, FIRST_X, "not a whole .npy file", "fetch or simulate", id="truncated"),
-    pytest.param(pickled, FIRST_X, "not a whole .npy file", "fetch or simulate", id="a pickle inside an npy"),
-    pytest.param(bare_pickle, FIRST_Y, "not a whole .npy file", "fetch or simulate", id="a bare pickle"),
+    pytest.param(cut, FIRST_X, "not a complete .npy file", "fetch or simulate", id="truncated"),
+    pytest.param(pickled, FIRST_X, "not a complete .npy file", "fetch or simulate", id="a pickle inside an npy"),
+    pytest.param(bare_pickle, FIRST_Y, "not a complete .npy file", "fetch or simulate", id="a bare pickle"),
     pytest.param(nan_row, FIRST_Y, "row 7 is not finite", "remove that push", id="a NaN row"),
     pytest.param(shorter, FIRST_Y, "has 249 rows", "fetch or simulate", id="X and y of different length"),
     pytest.param(
@@ -220,7 +220,7 @@ def test_check_tells_what_a_loader_of_pushes_does_not_see(
 
     assert result.exit_code == 1
     assert any(file in line and says in line for line in result.stdout.splitlines())
-    assert result.stdout.splitlines()[-1].endswith(f"next: mend the errors, then cazsl-train data check {surface}")
+    assert result.stdout.splitlines()[-1].endswith(f"next: fix the errors, then cazsl-train data check {surface}")
 
 
 @pytest.mark.parametrize("command", ["check", "fit"])
@@ -284,7 +284,7 @@ def test_a_folder_without_write_permission_ends_in_one_line(read_only: Path) -> 
     for result, path in zip(results, (read_only / "below", read_only / "dataset.json"), strict=True):
         assert result.exit_code == 1
         assert result.output == (
-            f"Error: {path} cannot be written (Permission denied); mend that or name another folder\n"
+            f"Error: {path} cannot be written (Permission denied); fix that or name another folder\n"
         )
     assert list(read_only.iterdir()) == []
 
@@ -296,7 +296,7 @@ def test_simulating_into_a_folder_without_write_permission_ends_in_one_line(read
 
     assert result.exit_code == 1
     assert result.output.splitlines() == [
-        f"Error: {read_only / 'abs'} cannot be written (Permission denied); mend that or name another folder"
+        f"Error: {read_only / 'abs'} cannot be written (Permission denied); fix that or name another folder"
     ]
 
 
@@ -306,7 +306,7 @@ def test_a_run_folder_without_write_permission_ends_in_one_line(data_folder: Pat
     result = cazsl_train("fit", "push-indicator", "--data", data_folder, "--run", tmp_path / "runs" / "mine")
 
     assert result.exit_code == 1
-    assert result.output == f"Error: {tmp_path / 'runs' / 'mine'}: Not a directory; mend that or name another path\n"
+    assert result.output == f"Error: {tmp_path / 'runs' / 'mine'}: Not a directory; fix that or name another path\n"
 
 
 def test_a_copy_under_turned_names_trains_like_the_published_one(data_folder: Path, tmp_path: Path) -> None:

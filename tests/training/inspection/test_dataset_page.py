@@ -1,4 +1,4 @@
-"""The report on a dataset: a page, two pictures, and the same ones for the same data."""
+"""The report page of a dataset: its figures, its pictures, and equal files for equal data."""
 
 from collections import Counter
 from pathlib import Path
@@ -21,7 +21,7 @@ def pushes(tmp_path_factory: pytest.TempPathFactory) -> Pushes:
 
 
 def test_the_report_names_its_data_and_sets_it_beside_the_published(pushes: Pushes) -> None:
-    """Simulated is said in the title; a row per quantity, displacement and rotation by quantile."""
+    """The page has the source in its title, a row per quantity, and displacement and rotation by quantile."""
     page = report(pushes)
 
     assert page.startswith("# simulated pushes (MuJoCo")
@@ -38,7 +38,7 @@ def test_the_report_names_its_data_and_sets_it_beside_the_published(pushes: Push
 
 
 def test_the_same_data_gives_the_same_files(pushes: Pushes, tmp_path: Path) -> None:
-    """Page and pictures are the same to the bit, so that a changed picture means changed data."""
+    """Page and pictures are the same to the bit for the same data, so that a changed picture means changed data."""
     first, second = write_report(pushes, tmp_path / "a"), write_report(pushes, tmp_path / "b")
 
     assert [path.name for path in first] == [REPORT_FILE, HISTOGRAMS_FILE, GALLERY_FILE]
@@ -47,7 +47,7 @@ def test_the_same_data_gives_the_same_files(pushes: Pushes, tmp_path: Path) -> N
 
 
 def test_the_gallery_shows_every_object_in_turn(pushes: Pushes) -> None:
-    """Three objects fill its 24 places, eight pushes of each, titled with what happened."""
+    """Three objects fill the 24 places, eight pushes of each, titled with displacement and rotation."""
     figure: Figure = gallery(pushes)
     titles = [place.get_title() for place in figure.axes]
 

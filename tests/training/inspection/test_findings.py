@@ -1,4 +1,4 @@
-"""Every question to the pushes: what is told, how gravely, and that plausible pushes raise none."""
+"""Findings about pushes: each check with its severity, and none for plausible pushes."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tests.training.copies import plausible_pushes
-from training.inspection.findings import Finding, ObjectPushes, Severity, odd_normalised, surface_findings
-from training.inspection.statistics import likeness
+from training.inspection.findings import DatasetFinding, ObjectPushes, Severity, odd_normalised, surface_findings
+from training.inspection.statistics import compare_statistics
 from training.omnipush.files import Array
 from training.omnipush.published import published_normalisation
 
@@ -17,41 +17,41 @@ ERROR, WARNING = Severity.ERROR, Severity.WARNING
 
 
 def plausible_objects(count: int = 250) -> list[ObjectPushes]:
-    """Four objects that nothing is wrong with."""
+    """Return four objects without a fault."""
     return [
         ObjectPushes(name, *plausible_pushes(count, number), ("float64", "float64")) for number, name in enumerate(FOUR)
     ]
 
 
-def findings(objects: Sequence[ObjectPushes]) -> list[Finding]:
-    """All that is odd about them."""
-    pushers = np.concatenate([thing.pushers for thing in objects])
-    outcomes = np.concatenate([thing.outcomes for thing in objects])
-    return surface_findings("here", objects, likeness(pushers, outcomes, published_normalisation()))
+def findings(objects: Sequence[ObjectPushes]) -> list[DatasetFinding]:
+    """Return the findings about these objects."""
+    pushers = np.concatenate([item.pushers for item in objects])
+    outcomes = np.concatenate([item.outcomes for item in objects])
+    return surface_findings("here", objects, compare_statistics(pushers, outcomes, published_normalisation()))
 
 
-def told(objects: Sequence[ObjectPushes]) -> list[tuple[Severity, str]]:
-    """Severities and codes of all that is odd."""
+def codes_of(objects: Sequence[ObjectPushes]) -> list[tuple[Severity, str]]:
+    """Return the severities and codes of the findings."""
     return [(finding.severity, finding.code) for finding in findings(objects)]
 
 
 def changed(
     change: Callable[[Array, Array], tuple[Array, Array]], objects: Sequence[ObjectPushes] | None = None
 ) -> list[ObjectPushes]:
-    """The objects with every pusher and outcome changed."""
+    """Return the objects with a change of every pusher and outcome."""
     return [
-        ObjectPushes(thing.descriptor, *change(thing.pushers.copy(), thing.outcomes.copy()), thing.dtypes)
-        for thing in objects or plausible_objects()
+        ObjectPushes(item.descriptor, *change(item.pushers.copy(), item.outcomes.copy()), item.dtypes)
+        for item in objects or plausible_objects()
     ]
 
 
-def test_plausible_pushes_are_not_odd() -> None:
-    """No finding at all, so that every finding below is its damage's."""
+def test_plausible_pushes_have_no_finding() -> None:
+    """Plausible pushes have no finding, so that every finding below is caused by its damage."""
     assert findings(plausible_objects()) == []
 
 
 @pytest.mark.parametrize(
-    ("factors", "says"),
+    ("factors", "messages"),
     [
         ((1000, 1000, 1), ["pusher positions look like millimetres", "object positions look like millimetres"]),
         ((100, 100, 1), ["pusher positions look like centimetres", "object positions look like centimetres"]),
@@ -59,17 +59,17 @@ def test_plausible_pushes_are_not_odd() -> None:
     ],
     ids=["millimetres", "centimetres", "degrees"],
 )
-def test_other_units_are_errors(factors: tuple[float, float, float], says: list[str]) -> None:
-    """Named once, with what to do, instead of by their consequences."""
+def test_other_units_are_errors(factors: tuple[float, float, float], messages: list[str]) -> None:
+    """Other units are reported once, with the remedy, instead of by their consequences."""
     found = findings(changed(lambda pushers, outcomes: (pushers * factors, outcomes * factors)))
 
     assert [(finding.severity, finding.code) for finding in found] == [(ERROR, "units")] * 2
-    for finding, words in zip(found, says, strict=True):
+    for finding, words in zip(found, messages, strict=True):
         assert words in finding.message
 
 
 def test_normalised_numbers_under_a_raw_name_are_an_error() -> None:
-    """Deviations near 1 in all six quantities."""
+    """Deviations near 1 in all six quantities are reported as normalised numbers."""
     found = findings(changed(published_normalisation().normalised))
 
     assert (found[0].severity, found[0].code) == (ERROR, "units")
@@ -79,30 +79,30 @@ def test_normalised_numbers_under_a_raw_name_are_an_error() -> None:
 @pytest.mark.parametrize(
     ("scale", "severity"), [(1.2, None), (1.4, WARNING), (0.7, WARNING), (2.5, ERROR), (0.4, ERROR)]
 )
-def test_a_spread_unlike_the_published_one_is_told(scale: float, severity: Severity | None) -> None:
-    """Odd from a quarter on, wrong from a factor of two on."""
-    found = told(changed(lambda pushers, outcomes: (pushers * [scale, 1, 1], outcomes)))
+def test_a_spread_unlike_the_published_one_is_reported(scale: float, severity: Severity | None) -> None:
+    """A deviation is odd from a quarter on and wrong from a factor of two on."""
+    found = codes_of(changed(lambda pushers, outcomes: (pushers * [scale, 1, 1], outcomes)))
 
     assert found == ([] if severity is None else [(severity, "statistics")])
 
 
 @pytest.mark.parametrize(("shift", "severity"), [(0.005, None), (0.03, WARNING), (0.08, ERROR)])
-def test_another_origin_is_told(shift: float, severity: Severity | None) -> None:
-    """A mean that is far from the published one, in its deviations."""
-    found = told(changed(lambda pushers, outcomes: (pushers + np.array([shift, 0, 0]), outcomes)))
+def test_another_origin_is_reported(shift: float, severity: Severity | None) -> None:
+    """A mean far from the published one, in published deviations, is reported."""
+    found = codes_of(changed(lambda pushers, outcomes: (pushers + np.array([shift, 0, 0]), outcomes)))
 
     assert found == ([] if severity is None else [(severity, "statistics")])
 
 
 def test_few_pushes_are_not_compared() -> None:
-    """Their statistics say little; the number of rows is told as well."""
-    assert told(plausible_objects(100)) == [(WARNING, "statistics"), (WARNING, "rows-far-from-250")]
+    """Statistics of few pushes are not compared, and the number of pushes is reported."""
+    assert codes_of(plausible_objects(100)) == [(WARNING, "statistics"), (WARNING, "rows-far-from-250")]
 
 
 @pytest.mark.parametrize(("rows", "severity"), [(1, WARNING), (40, ERROR)])
 @pytest.mark.parametrize("column", ["pusher", "object"])
-def test_angles_that_are_not_wrapped_are_told(rows: int, severity: Severity, column: str) -> None:
-    """A few may be accepted; one in a hundred is wrong, for the service wraps what it gets."""
+def test_angles_that_are_not_wrapped_are_reported(rows: int, severity: Severity, column: str) -> None:
+    """A few unwrapped angles are a warning, and one in a hundred is an error, as the service wraps angles."""
     objects = plausible_objects()
     (objects[0].pushers if column == "pusher" else objects[0].outcomes)[:rows, 2] = 3.2
 
@@ -112,7 +112,7 @@ def test_angles_that_are_not_wrapped_are_told(rows: int, severity: Severity, col
 
 
 def test_pi_in_single_precision_is_wrapped() -> None:
-    """float32 rounds pi up; -pi is what arctan2 may give."""
+    """Pi as float32, which is above pi, and -pi, which arctan2 may give, count as wrapped."""
     objects = plausible_objects()
     objects[0].pushers[:2, 2] = np.float32(math.pi), -np.float32(math.pi)
 
@@ -120,8 +120,8 @@ def test_pi_in_single_precision_is_wrapped() -> None:
 
 
 @pytest.mark.parametrize(("share", "severity"), [(0.01, None), (0.1, WARNING), (0.6, ERROR)])
-def test_pushes_without_contact_are_told(share: float, severity: Severity | None) -> None:
-    """Two in a hundred are let pass."""
+def test_pushes_without_contact_are_reported(share: float, severity: Severity | None) -> None:
+    """Pushes without contact are reported if they are more than two in a hundred."""
     still = round(share * 250)
 
     def stop(pushers: Array, outcomes: Array) -> tuple[Array, Array]:
@@ -133,7 +133,7 @@ def test_pushes_without_contact_are_told(share: float, severity: Severity | None
 
 
 def test_an_object_that_never_moved_is_an_error() -> None:
-    """As if the tracker had lost it; the others do not hide it."""
+    """An object that never moved, as if not tracked, is an error even if the others moved."""
     objects = plausible_objects()
     objects[2].outcomes[:] = 0.0
 
@@ -144,16 +144,16 @@ def test_an_object_that_never_moved_is_an_error() -> None:
 
 
 @pytest.mark.parametrize(("rows", "odd"), [(225, False), (275, False), (224, True), (276, True)])
-def test_objects_with_far_from_250_pushes_are_told(rows: int, odd: bool) -> None:
-    """Slightly more or fewer are published."""
+def test_objects_with_far_from_250_pushes_are_reported(rows: int, odd: bool) -> None:
+    """An object may have up to 25 pushes more or fewer than the published 250."""
     objects = [*plausible_objects(), ObjectPushes("4a4a4a4a", *plausible_pushes(rows, 9), ("float64", "float64"))]
 
-    assert told(objects) == ([(WARNING, "rows-far-from-250")] if odd else [])
+    assert codes_of(objects) == ([(WARNING, "rows-far-from-250")] if odd else [])
     assert all(f"4a4a4a4a ({rows})" in finding.message for finding in findings(objects))
 
 
-def test_pushes_that_are_there_twice_are_told() -> None:
-    """With their number, by object."""
+def test_repeated_pushes_are_reported() -> None:
+    """Repeated pushes are counted by object."""
     objects = plausible_objects()
     for array in (objects[1].pushers, objects[1].outcomes):
         array[5:8] = array[0]
@@ -163,25 +163,25 @@ def test_pushes_that_are_there_twice_are_told() -> None:
     assert f"{FOUR[1]} (3)" in found.message
 
 
-def test_half_precision_is_told() -> None:
-    """It rounds positions to a noticeable part of a millimetre."""
+def test_half_precision_is_reported() -> None:
+    """Files of float16, which rounds positions noticeably, are a warning."""
     objects = plausible_objects()
     objects[0] = ObjectPushes(FOUR[0], objects[0].pushers, objects[0].outcomes, ("float64", "float16"))
 
-    assert told(objects) == [(WARNING, "precision")]
+    assert codes_of(objects) == [(WARNING, "precision")]
 
 
-def turned(thing: ObjectPushes, descriptor: str) -> ObjectPushes:
-    """The same pushes of the object turned by +90 degrees."""
+def turned(item: ObjectPushes, descriptor: str) -> ObjectPushes:
+    """Return the same pushes of the object turned by +90 degrees."""
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    pushers, outcomes = thing.pushers.copy(), thing.outcomes.copy()
+    pushers, outcomes = item.pushers.copy(), item.outcomes.copy()
     pushers[:, :2], outcomes[:, :2] = pushers[:, :2] @ turn.T, outcomes[:, :2] @ turn.T
     pushers[:, 2] = np.angle(np.exp(1j * (pushers[:, 2] + math.pi / 2)))
-    return ObjectPushes(descriptor, pushers, outcomes, thing.dtypes)
+    return ObjectPushes(descriptor, pushers, outcomes, item.dtypes)
 
 
-def test_an_object_that_is_there_twice_is_an_error() -> None:
-    """Another turn of the same kind: with the same pushes in the other frame, or with others."""
+def test_an_object_under_two_descriptors_is_an_error() -> None:
+    """A turned descriptor of the same object is an error, with the same pushes in the other frame or with others."""
     objects = plausible_objects()
     same = turned(objects[1], "4a1a2b3c")
     other = ObjectPushes("4a1a2b3c", *plausible_pushes(250, 77), ("float64", "float64"))
@@ -189,12 +189,12 @@ def test_an_object_that_is_there_twice_is_an_error() -> None:
     for second, words in ((same, "hold the same pushes"), (other, "hold different pushes")):
         (found,) = findings([*objects, second])
         assert (found.severity, found.code) == (ERROR, "object-twice")
-        assert f"{FOUR[1]} and 4a1a2b3c are the same kind" in found.message
+        assert f"{FOUR[1]} and 4a1a2b3c are the same object" in found.message
         assert words in found.message
 
 
 def test_the_same_pushes_under_two_names_are_an_error() -> None:
-    """In whatever order: one of the two objects would be tested with what another was trained on."""
+    """Two objects with the same pushes in any order are an error, as one may be tested on the other's training data."""
     objects = plausible_objects()
     order = np.random.default_rng(3).permutation(250)
     objects[3] = ObjectPushes(FOUR[3], objects[0].pushers[order], objects[0].outcomes[order], objects[0].dtypes)
@@ -204,16 +204,16 @@ def test_the_same_pushes_under_two_names_are_an_error() -> None:
     assert f"{FOUR[0]} and {FOUR[3]}" in found.message
 
 
-def twin(thing: ObjectPushes) -> Array:
-    """The normalised twin of an object."""
-    return np.column_stack(published_normalisation().normalised(thing.pushers, thing.outcomes))
+def twin(item: ObjectPushes) -> Array:
+    """Return the normalised twin of an object."""
+    return np.column_stack(published_normalisation().normalised(item.pushers, item.outcomes))
 
 
-def test_twins_that_agree_are_not_odd() -> None:
-    """In single precision too."""
-    thing = plausible_objects()[0]
-    for array in (twin(thing), twin(thing).astype(np.float32).astype(np.float64)):
-        assert list(odd_normalised("here", {thing.descriptor: (thing, array)})) == []
+def test_twins_that_agree_have_no_finding() -> None:
+    """A normalised twin agrees in double and in single precision."""
+    item = plausible_objects()[0]
+    for array in (twin(item), twin(item).astype(np.float32).astype(np.float64)):
+        assert list(odd_normalised("here", {item.descriptor: (item, array)})) == []
 
 
 @pytest.mark.parametrize(
@@ -224,10 +224,10 @@ def test_twins_that_agree_are_not_odd() -> None:
         pytest.param(lambda array: array * 1.1 + 0.2, WARNING, "twin-statistics", id="other statistics"),
     ],
 )
-def test_twins_that_disagree_are_told(change: Callable[[Array], Array], severity: Severity, code: str) -> None:
-    """Other pushes are an error; the same ones under other statistics are of no use, and no harm."""
-    thing = plausible_objects()[0]
+def test_twins_that_disagree_are_reported(change: Callable[[Array], Array], severity: Severity, code: str) -> None:
+    """A twin with other pushes is an error, and one with other statistics is a warning."""
+    item = plausible_objects()[0]
 
-    (found,) = odd_normalised("here", {thing.descriptor: (thing, change(twin(thing)))})
+    (found,) = odd_normalised("here", {item.descriptor: (item, change(twin(item)))})
     assert (found.severity, found.code) == (severity, code)
-    assert thing.descriptor in found.message
+    assert item.descriptor in found.message

@@ -1,4 +1,4 @@
-"""Whole folders under inspection: all that is there is told, all that is broken is told at once."""
+"""Inspection of whole folders: every count, and every broken file at once."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -20,19 +20,19 @@ TEN = different_surfaces().test
 
 @pytest.fixture
 def copy(tmp_path: Path) -> Path:
-    """A whole plywood surface with its views, raw and normalised."""
+    """Plywood surface, complete with raw and normalised files and views."""
     write_surface(tmp_path / "plywood", TEN, variants=Variant)
     write_views(tmp_path / "top-down_view", TEN)
     return tmp_path
 
 
 def codes(inspection: Inspection) -> list[tuple[Severity, str]]:
-    """What was found, without words."""
+    """Return the severities and codes of the findings."""
     return [(finding.severity, finding.code) for finding in inspection.findings]
 
 
-def test_a_whole_surface_is_fit_to_train_on(copy: Path) -> None:
-    """Every count, and nothing odd; the folder above, the surface itself, it is the same report."""
+def test_a_complete_surface_is_fit_to_train_on(copy: Path) -> None:
+    """A complete surface has every count and no finding, and the folder above it gives the same report."""
     for folder in (copy, copy / "plywood"):
         found = inspect(folder, quiet=True)
         (report,) = found.surfaces
@@ -47,7 +47,7 @@ def test_a_whole_surface_is_fit_to_train_on(copy: Path) -> None:
 
 
 def test_a_copy_as_published_is_read_as_it_is(tmp_path: Path) -> None:
-    """Both surfaces under their published names, views in a folder per number of weights, two levels up."""
+    """Both surfaces are read under their published names, with views two levels above, sorted by number of weights."""
     write_surface(tmp_path / "meta-learning_data" / "0,1,2_weights", omnipush_descriptors(), rows=20)
     write_surface(tmp_path / "meta-learning_data" / "plywood", TEN)
     objects = {*omnipush_descriptors(), *TEN}
@@ -66,8 +66,8 @@ def test_a_copy_as_published_is_read_as_it_is(tmp_path: Path) -> None:
         assert found.fit_to_train_on
 
 
-def test_the_normalised_variant_alone_is_read_in_si(copy: Path) -> None:
-    """The same figures, and a warning that says what was done."""
+def test_normalised_files_without_raw_ones_are_read_in_si_units(copy: Path) -> None:
+    """Normalised files give the figures of the raw ones, and a warning."""
     raw = inspect(copy, quiet=True).surfaces[0].figures
     for path in copy.rglob("*_not_norm.npy"):
         path.unlink()
@@ -80,7 +80,7 @@ def test_the_normalised_variant_alone_is_read_in_si(copy: Path) -> None:
 
 
 def test_files_under_turned_names_are_the_published_objects(tmp_path: Path) -> None:
-    """Nothing is missing, and the report says how many are turned."""
+    """Files under turned descriptors count as the published objects, and the report counts them."""
     write_surface(tmp_path / "plywood", [name[4:] + name[:4] for name in TEN])
     write_views(tmp_path / "top-down_view", [name[4:] + name[:4] for name in TEN])
 
@@ -90,7 +90,7 @@ def test_files_under_turned_names_are_the_published_objects(tmp_path: Path) -> N
 
 
 def broken(file: str, content: bytes) -> Callable[[Path], None]:
-    """Damage: a file of the surface holds these bytes."""
+    """Return damage: a file of the surface holds these bytes."""
 
     def damage(copy: Path) -> None:
         (copy / "plywood" / file).write_bytes(content)
@@ -99,12 +99,12 @@ def broken(file: str, content: bytes) -> Callable[[Path], None]:
 
 
 def removed(file: str) -> Callable[[Path], None]:
-    """Damage: a file of the surface is gone."""
+    """Return damage: a file of the surface is gone."""
     return lambda copy: (copy / "plywood" / file).unlink()
 
 
 def saved(file: str, shape: tuple[int, ...]) -> Callable[[Path], None]:
-    """Damage: a file of the surface holds zeros of this shape."""
+    """Return damage: a file of the surface holds zeros of this shape."""
     return lambda copy: np.save(copy / "plywood" / file, np.zeros(shape))
 
 
@@ -124,10 +124,10 @@ TWIN_X, TWIN_Y = TEN[0] + Variant.NORMALISED.pusher_suffix, TEN[0] + Variant.NOR
         pytest.param(saved(TWIN_Y, (249, 3)), TWIN_Y, "warning", "twin-broken", id="twins of different length"),
     ],
 )
-def test_a_broken_file_is_told_and_the_rest_is_read(
+def test_a_broken_file_is_reported_and_the_rest_is_read(
     copy: Path, damage: Callable[[Path], None], file: str, severity: str, code: str
 ) -> None:
-    """One line names the file; a broken raw file is an error, a broken twin is not."""
+    """One finding names the broken file: an error for a raw file, a warning for a twin."""
     damage(copy)
 
     found = inspect(copy, quiet=True)
@@ -139,22 +139,22 @@ def test_a_broken_file_is_told_and_the_rest_is_read(
 
 
 def test_a_broken_declaration_leaves_the_origin_unknown(copy: Path) -> None:
-    """The pushes are reported, under no name that the folder did not give."""
+    """Pushes beside a broken declaration are reported with the unknown source."""
     broken(DATASET_FILE, b"{")(copy)
 
     assert inspect(copy, quiet=True).surfaces[0].source == UNKNOWN_SOURCE
 
 
-def test_a_missing_twin_is_told(copy: Path) -> None:
-    """Where the others have one."""
+def test_a_missing_twin_is_reported(copy: Path) -> None:
+    """An object without a normalised twin is a warning if other objects have one."""
     for file in (TWIN_X, TWIN_Y):
         removed(file)(copy)
 
     assert codes(inspect(copy, quiet=True)) == [(Severity.WARNING, "twin-missing")]
 
 
-def test_every_broken_file_is_told_at_once(copy: Path) -> None:
-    """The loader would stop at the first; and a surface without a single whole object is no report."""
+def test_every_broken_file_is_reported_at_once(copy: Path) -> None:
+    """Every broken file is a finding, unlike in the loader, and a surface without a readable object has no report."""
     for path in copy.rglob("*_X_3_not_norm.npy"):
         path.write_bytes(b"half")
 
@@ -164,13 +164,13 @@ def test_every_broken_file_is_told_at_once(copy: Path) -> None:
 
 
 def test_a_folder_without_pushes_is_refused(tmp_path: Path) -> None:
-    """There is nothing to inspect; the message names the folder and where to get some."""
+    """The error about a folder without pushes names it and the places to get some."""
     with pytest.raises(DataError, match=r"holds no \*_X_3_not_norm\.npy file.*make data.*docs/data\.md") as caught:
         inspect(tmp_path, quiet=True)
     assert str(tmp_path) in str(caught.value)
 
 
-def test_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
-    """A file, or nothing at all."""
+def test_a_missing_folder_is_refused(tmp_path: Path) -> None:
+    """The error about a missing folder names it."""
     with pytest.raises(DataError, match="nowhere is not a folder of pushes"):
         inspect(tmp_path / "nowhere", quiet=True)

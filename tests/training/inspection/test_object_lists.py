@@ -1,4 +1,4 @@
-"""The published lists, as a folder has them."""
+"""Published lists of objects, compared with the objects of a folder."""
 
 from training.inspection.findings import Severity
 from training.inspection.object_lists import membership
@@ -6,8 +6,8 @@ from training.omnipush.layout import SurfaceKind
 from training.omnipush.published import different_objects, different_surfaces, omnipush_descriptors
 
 
-def test_the_250_objects_are_whole_on_abs() -> None:
-    """200 to train on, 50 to test, nothing to tell."""
+def test_the_250_objects_are_complete_on_abs() -> None:
+    """The 250 objects are the 200 training and 50 test objects, without a finding."""
     found = membership(SurfaceKind.ABS, omnipush_descriptors())
 
     assert [(each.name, len(each.present), each.missing) for each in found.lists] == [
@@ -19,7 +19,7 @@ def test_the_250_objects_are_whole_on_abs() -> None:
 
 
 def test_turned_names_are_members() -> None:
-    """Every file under another turn of its published name: still all there."""
+    """Files under turned descriptors count as the published objects."""
     turned = [name[2:] + name[:2] for name in omnipush_descriptors()]
     found = membership(SurfaceKind.ABS, turned)
 
@@ -29,7 +29,7 @@ def test_turned_names_are_members() -> None:
 
 
 def test_missing_objects_are_errors_and_extra_ones_warnings() -> None:
-    """The names are those published, and those of the files."""
+    """Missing objects are reported with published descriptors, extra ones with those of their files."""
     split = different_objects()
     present = [name for name in omnipush_descriptors() if name not in (split.train[7], split.test[3])]
     found = list(membership(SurfaceKind.ABS, [*present, "1c1c1c1c"]).findings("here"))
@@ -45,7 +45,7 @@ def test_missing_objects_are_errors_and_extra_ones_warnings() -> None:
 
 
 def test_plywood_holds_its_own_ten() -> None:
-    """One of them is none of the 250."""
+    """The ten plywood objects are complete, and one of them is not among the 250."""
     found = membership(SurfaceKind.PLYWOOD, different_surfaces().test)
 
     assert [(each.name, len(each.present), each.missing) for each in found.lists] == [("test", 10, ())]

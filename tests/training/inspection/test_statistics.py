@@ -1,18 +1,18 @@
-"""Statistics beside the published ones."""
+"""Statistics of pushes beside the published ones."""
 
 import numpy as np
 import pytest
 
 from tests.training.copies import plausible_pushes
-from training.inspection.statistics import QUANTITIES, likeness, missed
+from training.inspection.statistics import QUANTITIES, compare_statistics, missed
 from training.omnipush.published import Normalisation, published_normalisation
 
 
 def test_figures_are_means_and_deviations_in_order() -> None:
-    """Pusher, then object; the published numbers stand beside their own quantity."""
+    """Means and deviations are those of pusher, then object, beside the published numbers of the same quantity."""
     published = published_normalisation()
     pushers, outcomes = plausible_pushes(100, 1)
-    figures = likeness(pushers, outcomes, published)
+    figures = compare_statistics(pushers, outcomes, published)
 
     assert [figure.quantity for figure in figures] == list(QUANTITIES)
     values = np.column_stack([pushers, outcomes])
@@ -23,11 +23,11 @@ def test_figures_are_means_and_deviations_in_order() -> None:
 
 
 def test_the_ratio_is_one_where_the_spread_is_the_published_one() -> None:
-    """A deviation of 2 beside a published 4 is half of it."""
+    """A deviation equal to the published one has the ratio 1, and half of it the ratio 0.5."""
     pushers = np.array([[0.0, -2.0, 1.0], [4.0, 2.0, 3.0]])
     published = Normalisation(np.zeros(3), np.array([2.0, 2.0, 2.0]), np.zeros(3), np.ones(3))
 
-    assert [figure.ratio for figure in likeness(pushers, pushers, published)[:3]] == [1.0, 1.0, 0.5]
+    assert [figure.ratio for figure in compare_statistics(pushers, pushers, published)[:3]] == [1.0, 1.0, 0.5]
 
 
 @pytest.mark.parametrize(
@@ -41,5 +41,5 @@ def test_the_ratio_is_one_where_the_spread_is_the_published_one() -> None:
     ],
 )
 def test_a_push_that_neither_moved_nor_turned_the_object_missed(outcome: list[float], is_missed: bool) -> None:
-    """A millimetre or 15 mrad, in any direction, is contact; less may be the tracker's noise."""
+    """A push missed if the object moved by less than a millimetre and turned by less than 15 mrad, as by noise."""
     assert missed(np.array([outcome])).tolist() == [is_missed]

@@ -1,4 +1,4 @@
-"""The report as people and programs read it."""
+"""Text and JSON of an inspection."""
 
 import json
 from pathlib import Path
@@ -6,46 +6,46 @@ from pathlib import Path
 import pytest
 
 from tests.training.copies import write_surface, write_views
-from training.inspection.findings import Finding, Severity
+from training.inspection.findings import DatasetFinding, Severity
 from training.inspection.inspection import Inspection, inspect
-from training.inspection.text import SHOWN, inspection_document, inspection_lines, likeness_lines, next_step
+from training.inspection.text import SHOWN, inspection_document, inspection_lines, next_step, statistics_lines
 from training.omnipush.published import different_surfaces, omnipush_descriptors
 
 
 @pytest.fixture
 def found(tmp_path: Path) -> Inspection:
-    """A plywood surface of which one object has no view."""
+    """Inspection of a plywood surface of which one object has no view."""
     write_surface(tmp_path / "plywood", different_surfaces().test)
     write_views(tmp_path / "top-down_view", different_surfaces().test[1:])
     return inspect(tmp_path, quiet=True)
 
 
 def test_the_text_has_every_count_and_the_table(found: Inspection) -> None:
-    """Folder, surface, origin, objects, pushes, files, contact, views, statistics, warnings, next step."""
+    """The text has the counts of a surface, its statistics, the warnings and the next step."""
     lines = list(inspection_lines(found))
 
     assert lines[0] == f"{found.folder / 'plywood'}: plywood, synthetic pushes of a test"
     assert lines[1] == "  objects  10: 10 of 10 test, 0 under a turned name, 0 extra"
     assert lines[2] == "  pushes   2500, 250 to 250 an object, median 250"
     assert lines[3] == "  files    10 raw pairs, 0 normalised; 20 float64"
-    assert lines[4] == "  contact  0.00 % of the pushes moved nothing"
+    assert lines[4] == "  contact  0.00 % of the pushes did not move the object"
     assert lines[5] == "  views    9 of 10 objects have a top-down view"
-    assert lines[6:13] == ["  " + line for line in likeness_lines(found.surfaces[0].figures)]
+    assert lines[6:13] == ["  " + line for line in statistics_lines(found.surfaces[0].figures)]
     assert lines[14] == "warnings:"
     assert lines[15].startswith(f"  views-missing: {found.folder / 'plywood'}: no top-down view of 1 object")
     assert lines[16:] == [next_step(found)]
 
 
 def test_the_table_s_columns_stand_under_their_names(found: Inspection) -> None:
-    """Seven lines of one width."""
-    lines = list(likeness_lines(found.surfaces[0].figures))
+    """The seven lines of the table have the same width."""
+    lines = list(statistics_lines(found.surfaces[0].figures))
 
     assert len(lines) == 7
     assert {len(line) for line in lines} == {len(lines[0])}
 
 
 def test_the_document_has_the_same_as_json(found: Inspection) -> None:
-    """Plain values that survive a round trip."""
+    """The document holds the same report in plain values that survive a round trip through JSON."""
     document = json.loads(json.dumps(inspection_document(found)))
     (surface,) = document["surfaces"]
 
@@ -60,13 +60,13 @@ def test_the_document_has_the_same_as_json(found: Inspection) -> None:
     assert surface["missed_share"] == 0.0
 
 
-def finding(severity: Severity, number: int = 0) -> Finding:
-    """A finding that names its file."""
-    return Finding(severity, "refused", "abs", f"abs/{number}.npy is broken; fetch it again")
+def finding(severity: Severity, number: int = 0) -> DatasetFinding:
+    """Return a finding that names its file."""
+    return DatasetFinding(severity, "refused", "abs", f"abs/{number}.npy is broken; fetch it again")
 
 
-def test_errors_come_first_and_say_what_to_do_next(tmp_path: Path) -> None:
-    """Whatever order they were found in; the last line counts them."""
+def test_errors_come_first(tmp_path: Path) -> None:
+    """Errors are listed before warnings, and the last line counts them and gives the next step."""
     found = Inspection(tmp_path, (), (finding(Severity.WARNING), finding(Severity.ERROR)))
     lines = list(inspection_lines(found))
 
@@ -75,12 +75,12 @@ def test_errors_come_first_and_say_what_to_do_next(tmp_path: Path) -> None:
         "  refused: abs/0.npy is broken; fetch it again",
         "warnings:",
         "  refused: abs/0.npy is broken; fetch it again",
-        f"1 error, 1 warning; next: mend the errors, then cazsl-train data check {tmp_path}",
+        f"1 error, 1 warning; next: fix the errors, then cazsl-train data check {tmp_path}",
     ]
 
 
 def test_long_lists_of_findings_are_cut(tmp_path: Path) -> None:
-    """250 broken files are not 250 lines; JSON has them all."""
+    """The text lists the first findings of a severity, and the JSON document lists all."""
     found = Inspection(tmp_path, (), tuple(finding(Severity.ERROR, number) for number in range(SHOWN + 5)))
     lines = list(inspection_lines(found))
 
@@ -90,7 +90,7 @@ def test_long_lists_of_findings_are_cut(tmp_path: Path) -> None:
 
 
 def test_the_next_step_after_a_good_check_is_to_fit(tmp_path: Path, found: Inspection) -> None:
-    """On the surface that models are trained on; plywood is for testing."""
+    """The next step is a fit on the ABS surface, and plywood is proposed for testing."""
     write_surface(tmp_path / "data" / "abs", omnipush_descriptors(), rows=2)
 
     assert next_step(inspect(tmp_path / "data", quiet=True)).endswith(

@@ -1,4 +1,4 @@
-"""The gallery of views."""
+"""The gallery of views: reproducible, with every shape and weight."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from training.inspection.view_gallery import GALLERY_OBJECTS, draw_gallery
 
 
 def test_the_gallery_is_one_picture_and_the_same_each_time(tmp_path: Path) -> None:
-    """Wider than high, with the black of the drawings and the white of the paper, byte for byte reproducible."""
+    """The gallery has black and white parts, and the same seed gives the same file."""
     draw_gallery(tmp_path / "docs" / "a.png", GALLERY_OBJECTS[:3])
     draw_gallery(tmp_path / "b.png", GALLERY_OBJECTS[:3])
     draw_gallery(tmp_path / "c.png", GALLERY_OBJECTS[:3], seed=1)
@@ -21,7 +21,7 @@ def test_the_gallery_is_one_picture_and_the_same_each_time(tmp_path: Path) -> No
 
 
 def test_the_gallery_shows_every_shape_and_weight() -> None:
-    """Twelve objects of the benchmark's kind."""
+    """The twelve objects of the gallery cover every shape and every weight."""
     sides = {name[i : i + 2] for name in GALLERY_OBJECTS for i in range(0, 8, 2)}
     assert {side[0] for side in sides} == set("1234")
     assert {side[1] for side in sides} == set("abcBC")

@@ -1,4 +1,4 @@
-"""Top-down views: found, missing, broken."""
+"""Checks of top-down views: found, missing, broken."""
 
 import shutil
 from collections.abc import Callable
@@ -11,21 +11,22 @@ import pytest
 
 from tests.training.copies import write_views
 from training.inspection.findings import Severity
-from training.inspection.views import VIEWS_FOLDER, find_views, missing_views, odd_views
+from training.inspection.views import find_views, missing_views, odd_views
+from training.omnipush.views import VIEWS_FOLDER
 
 FIRST, SECOND = "1a2b3c4a", "2B3a3a4a"
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Two whole views, laid out as published."""
+    """Folder with two intact views, laid out as published."""
     write_views(tmp_path / VIEWS_FOLDER / "2_weight", [FIRST])
     write_views(tmp_path / VIEWS_FOLDER / "1_weight", [SECOND])
     return tmp_path
 
 
 def test_views_are_found_at_any_depth(folder: Path) -> None:
-    """The release has a folder per number of weights; images scaled down for others are left alone."""
+    """Views are found in a folder per number of weights, and images scaled down for others are ignored."""
     write_views(folder / (VIEWS_FOLDER + "32"), [FIRST], size=32)
 
     assert find_views([folder, folder / "nowhere"]) == {
@@ -34,8 +35,8 @@ def test_views_are_found_at_any_depth(folder: Path) -> None:
     }
 
 
-def test_whole_views_are_not_odd(folder: Path) -> None:
-    """Nothing to tell, whatever numbers they are stored in."""
+def test_intact_views_have_no_finding(folder: Path) -> None:
+    """Views of any numeric type have no finding."""
     for dtype in (np.uint8, np.bool_, np.float32, np.float64):
         path = folder / VIEWS_FOLDER / "2_weight" / f"shape_{FIRST}.npy"
         path.unlink()
@@ -44,7 +45,7 @@ def test_whole_views_are_not_odd(folder: Path) -> None:
 
 
 def saved(array: npt.NDArray[Any]) -> Callable[[Path], None]:
-    """Damage: the view holds this array."""
+    """Return damage: the view holds this array."""
     return lambda path: np.save(path, array)
 
 
@@ -61,17 +62,17 @@ def huge(path: Path) -> None:
         pytest.param(saved(np.zeros((481, 481, 3), np.uint8)), "(481, 481, 3); expected (481, 481)", id="colours"),
         pytest.param(saved(np.full((481, 481), np.nan)), "not in [0, 1]", id="NaN"),
         pytest.param(saved(np.full((481, 481), "x")), "an array of <U1", id="text"),
-        pytest.param(lambda path: path.write_bytes(b"\x93NUMPY"), "not a whole .npy file", id="cut"),
+        pytest.param(lambda path: path.write_bytes(b"\x93NUMPY"), "not a complete .npy file", id="cut"),
         pytest.param(
             lambda path: np.save(path, np.array([print], dtype=object), allow_pickle=True),
-            "not a whole .npy file",
+            "not a complete .npy file",
             id="a pickle",
         ),
-        pytest.param(huge, "no view of 481 x 481", id="huge"),
+        pytest.param(huge, "at most", id="huge"),
     ],
 )
 def test_a_broken_view_is_named(folder: Path, damage: Callable[[Path], object], says: str) -> None:
-    """An error: a visual model would be trained on something else."""
+    """A broken view is an error that names the file, as a visual model would be trained on it."""
     path = folder / VIEWS_FOLDER / "2_weight" / f"shape_{FIRST}.npy"
     path.unlink()
     damage(path)
@@ -83,7 +84,7 @@ def test_a_broken_view_is_named(folder: Path, damage: Callable[[Path], object], 
 
 
 def test_two_views_of_one_object_are_named(folder: Path) -> None:
-    """Both files, and what to do."""
+    """The finding about two views of one object names both files and the remedy."""
     again = folder / VIEWS_FOLDER / "0_weight"
     again.mkdir()
     shutil.copy(folder / VIEWS_FOLDER / "2_weight" / f"shape_{FIRST}.npy", again / f"shape_{FIRST}.npy")
@@ -95,7 +96,7 @@ def test_two_views_of_one_object_are_named(folder: Path) -> None:
 
 
 def test_a_view_of_no_object_is_named(folder: Path) -> None:
-    """A descriptor that no object has."""
+    """A view whose descriptor is not that of an object is reported."""
     write_views(folder / VIEWS_FOLDER / "0_weight", ["1B1a1a1a"])
 
     (finding,) = odd_views(find_views([folder]), quiet=True)
@@ -103,7 +104,7 @@ def test_a_view_of_no_object_is_named(folder: Path) -> None:
 
 
 def test_objects_without_a_view_are_counted(folder: Path) -> None:
-    """A warning, because models of the indicator do not need any; a turned view is told apart."""
+    """Objects without a view are a warning, and those with a turned view are counted separately."""
     views = find_views([folder])
     (finding,) = missing_views("abs", [FIRST, "3c4a1a2b", "4a4a4a4a"], views)
 

@@ -1,4 +1,4 @@
-"""Which files belong to which object, and in which variant."""
+"""Files of pushes: the match of files to objects and variants, and faults."""
 
 import os
 from pathlib import Path
@@ -7,31 +7,21 @@ import numpy as np
 import pytest
 
 from service.errors import DataError
-from training.omnipush.files import (
-    MAX_FILE_BYTES,
-    FilePair,
-    Variant,
-    check_lengths,
-    holds_pushes,
-    list_folder,
-    read_content,
-    read_pair,
-    write_pair,
-)
+from training.omnipush.files import FilePair, Variant, check_lengths, holds_pushes, list_folder, read_pair, write_pair
 
 FIRST, SECOND = "1a2b3c4a", "2B3a3a4a"
 ROWS = np.arange(12.0).reshape(4, 3)
 
 
-def test_names_end_as_published() -> None:
-    """Raw and normalised, pusher and outcome."""
+def test_file_names_have_the_published_suffixes() -> None:
+    """Pusher and outcome files of both variants have the suffixes of the release."""
     suffixes = [(variant.pusher_suffix, variant.outcome_suffix) for variant in Variant]
 
     assert suffixes == [("_X_3_not_norm.npy", "_y_3_not_norm.npy"), ("_X_3_norm.npy", "_y_3_norm.npy")]
 
 
-def test_raw_pairs_come_before_normalised_ones(tmp_path: Path) -> None:
-    """The normalised pair is a twin where both are there, and the pair to read where it is alone."""
+def test_raw_pairs_are_preferred_to_normalised_ones(tmp_path: Path) -> None:
+    """A normalised pair is a twin if the object also has a raw pair, and the pair to read if it has none."""
     write_pair(tmp_path, SECOND, Variant.NORMALISED, ROWS, ROWS)
     for variant in Variant:
         write_pair(tmp_path, FIRST, variant, ROWS, ROWS)
@@ -51,8 +41,8 @@ def test_raw_pairs_come_before_normalised_ones(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("variant", Variant)
 @pytest.mark.parametrize("half", ["X", "y"])
-def test_half_an_object_is_a_fault(tmp_path: Path, variant: Variant, half: str) -> None:
-    """Either file alone; the message names the one to fetch."""
+def test_half_a_pair_is_a_fault(tmp_path: Path, variant: Variant, half: str) -> None:
+    """An object with only one of its two files is a fault, whose message names the missing file."""
     write_pair(tmp_path, FIRST, variant, ROWS, ROWS)
     gone = tmp_path / (FIRST + {"X": variant.pusher_suffix, "y": variant.outcome_suffix}[half])
     gone.unlink()
@@ -65,7 +55,7 @@ def test_half_an_object_is_a_fault(tmp_path: Path, variant: Variant, half: str) 
 
 
 def test_half_a_twin_is_a_warning(tmp_path: Path) -> None:
-    """Nobody needs it: the raw pair is whole."""
+    """Half a normalised pair is a warning if the raw pair is complete, because readers use the raw pair."""
     for variant in Variant:
         write_pair(tmp_path, FIRST, variant, ROWS, ROWS)
     (tmp_path / (FIRST + "_y_3_norm.npy")).unlink()
@@ -75,8 +65,8 @@ def test_half_a_twin_is_a_warning(tmp_path: Path) -> None:
     assert "y_3_norm.npy is missing beside" in found.warnings[0]
 
 
-def test_half_a_raw_pair_is_not_made_up_for(tmp_path: Path) -> None:
-    """A copy that broke off is refused, even if the normalised variant is whole."""
+def test_a_normalised_pair_does_not_replace_half_a_raw_pair(tmp_path: Path) -> None:
+    """Half a raw pair is refused even if the normalised pair is complete, because the copy broke off."""
     for variant in Variant:
         write_pair(tmp_path, FIRST, variant, ROWS, ROWS)
     (tmp_path / (FIRST + "_y_3_not_norm.npy")).unlink()
@@ -87,7 +77,7 @@ def test_half_a_raw_pair_is_not_made_up_for(tmp_path: Path) -> None:
 
 
 def test_every_fault_is_listed(tmp_path: Path) -> None:
-    """Not only the first: an inspection tells all."""
+    """A listing holds every fault of a folder, not only the first."""
     for name in ("9z2b3c4a", "1B2b3c4a", FIRST, FIRST + "_again"):
         write_pair(tmp_path, name, Variant.RAW, ROWS, ROWS)
 
@@ -98,8 +88,8 @@ def test_every_fault_is_listed(tmp_path: Path) -> None:
     assert sum("are the same object; keep one of them" in fault for fault in faults) == 2
 
 
-def test_other_files_are_left_alone(tmp_path: Path) -> None:
-    """Views, parts, hidden files, folders and pipes are no pushes; a pipe must not be waited for."""
+def test_other_files_are_ignored(tmp_path: Path) -> None:
+    """Views, part files, hidden files, folders and pipes are not files of pushes, and a pipe is not waited for."""
     (tmp_path / f"._{FIRST}_X_3_not_norm.npy").touch()
     np.save(tmp_path / f"shape_{FIRST}.npy", ROWS)
     (tmp_path / f".{FIRST}_X_3_not_norm.npy.part").touch()
@@ -111,32 +101,15 @@ def test_other_files_are_left_alone(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_cannot_be_listed_is_named(tmp_path: Path) -> None:
-    """A file in its place, for one."""
+    """The error about a folder that cannot be listed names it and the system's reason."""
     (tmp_path / "file").touch()
 
     with pytest.raises(DataError, match=r"file cannot be listed \(Not a directory\)"):
         list_folder(tmp_path / "file")
 
 
-def test_a_huge_file_is_refused_before_it_is_read(tmp_path: Path) -> None:
-    """A sparse file of more than any object could need."""
-    path = tmp_path / "huge.npy"
-    with path.open("wb") as file:
-        file.truncate(MAX_FILE_BYTES + 1)
-
-    with pytest.raises(DataError, match=f"has {MAX_FILE_BYTES + 1} bytes") as caught:
-        read_content(path)
-    assert str(path) in str(caught.value)
-
-
-def test_a_file_that_is_gone_is_named(tmp_path: Path) -> None:
-    """It may vanish between listing and reading."""
-    with pytest.raises(DataError, match=r"gone\.npy cannot be read \(No such file or directory\)"):
-        read_content(tmp_path / "gone.npy")
-
-
-def test_a_pair_comes_in_the_precision_of_its_files(tmp_path: Path) -> None:
-    """Whoever asks what a file holds is told."""
+def test_a_pair_is_read_in_the_precision_of_its_files(tmp_path: Path) -> None:
+    """Arrays keep the data type of their files, so that an inspection can report it."""
     pair = FilePair(FIRST, Variant.RAW, tmp_path / "X.npy", tmp_path / "y.npy")
     np.save(pair.pusher, ROWS.astype(np.float32))
     np.save(pair.outcome, ROWS)
@@ -145,7 +118,7 @@ def test_a_pair_comes_in_the_precision_of_its_files(tmp_path: Path) -> None:
 
 
 def test_both_files_must_have_as_many_rows(tmp_path: Path) -> None:
-    """The message names the file and both numbers."""
+    """The error about files of different length names the file and both numbers of rows."""
     pair = FilePair(FIRST, Variant.RAW, tmp_path / "X.npy", tmp_path / "y.npy")
 
     check_lengths(pair, ROWS, ROWS)
@@ -154,8 +127,8 @@ def test_both_files_must_have_as_many_rows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("blocked", ["a folder", "its parent"])
-def test_what_cannot_be_written_is_named(tmp_path: Path, blocked: str) -> None:
-    """A file stands where the folder should be: nobody can write there, not even root."""
+def test_a_file_that_cannot_be_written_is_named(tmp_path: Path, blocked: str) -> None:
+    """The error about a blocked folder names the file; a file in the folder's place stops even root."""
     (tmp_path / "file").touch()
     folder = tmp_path / "file" if blocked == "a folder" else tmp_path / "file" / "below"
 

@@ -1,4 +1,4 @@
-"""Where the parts of a copy of Omnipush are looked for."""
+"""Folder layout of a copy of Omnipush: surfaces and places of views."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ OBJECT = "1a2a3a4a"
 
 
 def test_a_folder_of_pushes_is_its_own_surface(tmp_path: Path) -> None:
-    """What lies below it is not looked at."""
+    """A folder that holds pushes is a surface, and the folders below it are not searched."""
     write_surface(tmp_path / "abs", [OBJECT], rows=1)
     write_surface(tmp_path / "abs" / "old", [OBJECT], rows=1)
 
@@ -20,7 +20,7 @@ def test_a_folder_of_pushes_is_its_own_surface(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("below", ["", "meta-learning_data/"])
 def test_surfaces_are_found_below_the_folder_named(tmp_path: Path, below: str) -> None:
-    """The published names are met as they are, at the depth of the published tree."""
+    """Surfaces with the published names are found at the depth of the published tree."""
     for name in ("0,1,2_weights", "plywood", ".cache"):
         write_surface(tmp_path / (below + name), [OBJECT], rows=1)
 
@@ -28,7 +28,7 @@ def test_surfaces_are_found_below_the_folder_named(tmp_path: Path, below: str) -
 
 
 def test_a_folder_without_pushes_has_no_surface(tmp_path: Path) -> None:
-    """Other files do not make one."""
+    """A folder that holds only other files has no surface."""
     (tmp_path / "abs").mkdir()
     (tmp_path / "abs" / "shape_1a2a3a4a.npy").touch()
 
@@ -39,13 +39,13 @@ def test_a_folder_without_pushes_has_no_surface(tmp_path: Path) -> None:
     ("name", "kind"),
     [("plywood", "plywood"), ("Plywood_2019", "plywood"), ("abs", "abs"), ("0,1,2_weights", "abs"), ("mine", "abs")],
 )
-def test_plywood_is_told_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
-    """Everything else is the benchmark's main surface."""
+def test_plywood_is_recognised_by_its_name(tmp_path: Path, name: str, kind: str) -> None:
+    """A folder with plywood in its name is plywood, and every other one is ABS, the benchmark's main surface."""
     assert surface_kind(tmp_path / name) is SurfaceKind(kind)
 
 
 def test_views_may_be_in_or_beside_the_folders_named(tmp_path: Path) -> None:
-    """As published they are beside meta-learning_data, two levels above the pushes."""
+    """Views are looked for up to two levels above the pushes, where the release has them beside meta-learning_data."""
     surface = tmp_path / "meta-learning_data" / "plywood"
 
     assert view_places(surface, [surface]) == {surface, surface.parent}

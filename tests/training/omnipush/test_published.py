@@ -1,4 +1,4 @@
-"""What was published of Omnipush: its divisions and its statistics."""
+"""Published facts of Omnipush: its splits and its statistics."""
 
 import json
 from importlib import resources
@@ -15,7 +15,7 @@ from training.omnipush.published import (
 
 
 def test_the_published_split_has_200_and_50_objects() -> None:
-    """No object is on both sides, and all 250 are Omnipush's."""
+    """The published split is disjoint and covers the 250 objects of Omnipush."""
     split = different_objects()
 
     assert (len(set(split.train)), len(set(split.test))) == (200, 50)
@@ -25,7 +25,7 @@ def test_the_published_split_has_200_and_50_objects() -> None:
 
 
 def test_surfaces_train_on_abs_and_test_on_plywood() -> None:
-    """All 250 objects against 10, nine of which are among them, as published."""
+    """The surfaces split trains on all 250 objects and tests on 10, of which 9 are among the 250, as published."""
     split = different_surfaces()
 
     assert (split.name, split.test_surface) == ("different-surfaces", "plywood")
@@ -36,7 +36,7 @@ def test_surfaces_train_on_abs_and_test_on_plywood() -> None:
 
 @pytest.mark.parametrize(("held_out", "objects"), [(0, 70), (1, 90), (2, 90)])
 def test_weights_hold_out_all_objects_with_that_many(held_out: int, objects: int) -> None:
-    """70, 90 and 90 objects to test on; nobody is on both sides and nobody is left out."""
+    """The weights splits hold out 70, 90 and 90 objects, are disjoint, and cover the 250 objects."""
     split = different_weights(held_out)
 
     assert (split.name, split.test_surface) == (f"different-weights-{held_out}", None)

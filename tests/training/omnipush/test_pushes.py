@@ -1,4 +1,4 @@
-"""Omnipush-format folders: what is read, what is refused by name, what the digest vouches for."""
+"""Folders of pushes: read, refused by file, covered by a digest, and exported in other variants."""
 
 import io
 import math
@@ -14,24 +14,36 @@ import numpy.typing as npt
 import pytest
 
 from service.errors import DataError
+from tests.training.copies import SOURCE, plausible_pushes, write_surface
+from tests.training.pickle_trap import PickleTrap
 from training.omnipush.declaration import DATASET_FILE, UNKNOWN_SOURCE, declare_dataset
-from training.omnipush.files import Variant
-from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, has_object, read_folder, write_object
+from training.omnipush.files import Variant, list_folder
+from training.omnipush.published import omnipush_descriptors
+from training.omnipush.pushes import (
+    OUTCOME_SUFFIX,
+    PUSHER_SUFFIX,
+    export_variants,
+    has_object,
+    read_folder,
+    write_object,
+)
+from training.simulation.dataset import SimulationPlan, simulate_dataset
 
 Array = npt.NDArray[np.float64]
 
 FIRST, SECOND = "1a2b3c4a", "2B3a3a4a"
 FIRST_X, FIRST_Y = FIRST + PUSHER_SUFFIX, FIRST + OUTCOME_SUFFIX
+FLOAT32_STEP = 2.0**-23  # relative distance of neighbouring float32 numbers
 
 
 def some_rows(count: int, seed: int) -> Array:
-    """Random numbers of the size of poses, (count, 3)."""
+    """Return random numbers of the size of poses, (count, 3)."""
     return np.random.default_rng(seed).normal(0.0, 0.05, (count, 3))
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Four pushes of one object and two of another."""
+    """Folder with four pushes of one object and two of another."""
     found = tmp_path / "omnipush"
     found.mkdir()
     write_object(found, SECOND, some_rows(2, 1), some_rows(2, 2))
@@ -39,7 +51,7 @@ def folder(tmp_path: Path) -> Path:
     return found
 
 
-def test_what_was_written_is_read(folder: Path) -> None:
+def test_written_pushes_are_read_back(folder: Path) -> None:
     """Pushes come back object by object, sorted by descriptor, as float32."""
     found = read_folder(folder)
 
@@ -52,7 +64,7 @@ def test_what_was_written_is_read(folder: Path) -> None:
 
 
 def test_objects_with_fewer_pushes_are_padded(folder: Path) -> None:
-    """Every object has as many rows as the longest; valid says which are pushes, and count counts those."""
+    """Every object has as many rows as the longest, ``valid`` marks the pushes, and ``count`` counts them."""
     found = read_folder(folder)
 
     assert found.valid.tolist() == [[1, 1, 1, 1], [1, 1, 0, 0]]
@@ -62,7 +74,7 @@ def test_objects_with_fewer_pushes_are_padded(folder: Path) -> None:
 
 
 def test_the_release_s_names_and_precisions_are_read(tmp_path: Path) -> None:
-    """Names may go on after the descriptor, files may be float32, and the normalised twins are left alone."""
+    """A name may go on after the descriptor, files may be float32, and normalised twins are ignored."""
     stem = FIRST + "_all_250"
     np.save(tmp_path / (stem + PUSHER_SUFFIX), some_rows(3, 1).astype(np.float32))
     np.save(tmp_path / (stem + OUTCOME_SUFFIX), some_rows(3, 2).astype(np.float32))
@@ -75,7 +87,7 @@ def test_the_release_s_names_and_precisions_are_read(tmp_path: Path) -> None:
 
 
 def test_indicators_are_those_of_the_descriptors(folder: Path) -> None:
-    """Each object's context has its four shapes and four weights, side by side."""
+    """The indicator of an object holds its four shapes and four weights, side by side."""
     found = read_folder(folder).indicators
 
     assert found.shape == (2, 36)
@@ -89,7 +101,7 @@ def test_indicators_are_those_of_the_descriptors(folder: Path) -> None:
 
 
 def test_select_takes_objects_in_the_order_asked_for(folder: Path) -> None:
-    """The pushes of the chosen objects, with the source and digest of the whole folder."""
+    """A selection has the pushes of the chosen objects, and the source and digest of the whole folder."""
     found = read_folder(folder)
     chosen = found.select([SECOND, FIRST])
 
@@ -101,7 +113,7 @@ def test_select_takes_objects_in_the_order_asked_for(folder: Path) -> None:
 
 
 def test_select_finds_objects_up_to_rotation(folder: Path) -> None:
-    """A published name selects the file of a turned one, with the context and the frame of that file."""
+    """A published descriptor selects the file of a turned one, with the context and the frame of that file."""
     turned = FIRST[2:] + FIRST[:2]
     found, chosen = read_folder(folder), read_folder(folder).select([SECOND, turned])
 
@@ -111,18 +123,18 @@ def test_select_finds_objects_up_to_rotation(folder: Path) -> None:
     assert (chosen.indicators == found.indicators[::-1]).all()
 
 
-def test_select_refuses_two_files_of_one_kind(folder: Path) -> None:
-    """Neither can be told to be the published object; asked for others, they do no harm."""
+def test_select_refuses_two_files_of_one_object(folder: Path) -> None:
+    """An object with files under two descriptors is refused if it is selected, and ignored otherwise."""
     turned = FIRST[2:] + FIRST[:2]
     write_object(folder, turned, some_rows(4, 7), some_rows(4, 8))
 
-    with pytest.raises(DataError, match=f"{FIRST} and {turned} are the same kind"):
+    with pytest.raises(DataError, match=f"{FIRST} and {turned} are the same object, turned"):
         read_folder(folder).select([FIRST])
     assert read_folder(folder).select([SECOND]).descriptors == (SECOND,)
 
 
-def test_objects_in_the_normalised_variant_alone_are_read_in_si(folder: Path) -> None:
-    """Beside raw ones, with the published statistics; the digest is of the files read."""
+def test_normalised_files_without_raw_ones_are_read_in_si_units(folder: Path) -> None:
+    """The published statistics convert normalised files, and the digest is that of the files read."""
     before = read_folder(folder)
     for path in folder.glob(SECOND + "*"):
         path.unlink()
@@ -135,8 +147,8 @@ def test_objects_in_the_normalised_variant_alone_are_read_in_si(folder: Path) ->
     assert after.digest != before.digest
 
 
-def test_raw_files_are_read_where_both_variants_are_there(folder: Path) -> None:
-    """The twins change nothing, not even the digest."""
+def test_raw_files_are_read_if_both_variants_exist(folder: Path) -> None:
+    """Normalised twins change neither the pushes nor the digest."""
     before = read_folder(folder)
     write_object(folder, FIRST, some_rows(4, 30), some_rows(4, 40), (Variant.NORMALISED,))
 
@@ -145,13 +157,13 @@ def test_raw_files_are_read_where_both_variants_are_there(folder: Path) -> None:
 
 
 def test_a_folder_above_the_pushes_names_those_below(folder: Path) -> None:
-    """Whoever names a whole copy of Omnipush is told which folder to name."""
+    """The error about a folder above those of pushes lists the folders to name instead."""
     with pytest.raises(DataError, match=f"name {re.escape(str(folder))} with --data"):
         read_folder(folder.parent)
 
 
-def test_selecting_objects_that_are_not_there_names_them(folder: Path) -> None:
-    """The message counts what is missing, names the first few and says what to do."""
+def test_selecting_missing_objects_names_them(folder: Path) -> None:
+    """The error about missing objects counts them, names the first few and gives the remedy."""
     missing = ["4a4a4a4a", "4a4a4a3a", "4a4a4a2a", "4a4a4a1a", "3a4a4a4a", "3a3a4a4a"]
 
     with pytest.raises(DataError) as caught:
@@ -165,7 +177,7 @@ def test_selecting_objects_that_are_not_there_names_them(folder: Path) -> None:
 
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
-    """The message names the folder and the ways out."""
+    """The error about a missing folder names it and the ways to get pushes."""
     with pytest.raises(DataError, match=r"is not a folder of pushes.*make data.*--data") as caught:
         read_folder(tmp_path / "nowhere")
 
@@ -173,7 +185,7 @@ def test_a_missing_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_an_empty_folder_is_named(tmp_path: Path) -> None:
-    """A folder without a single pusher file is no dataset."""
+    """The error about a folder without a pusher file names it."""
     with pytest.raises(DataError, match="holds no") as caught:
         read_folder(tmp_path)
 
@@ -181,7 +193,7 @@ def test_an_empty_folder_is_named(tmp_path: Path) -> None:
 
 
 def replaced(name: str, content: bytes | Array) -> Callable[[Path], None]:
-    """Damage: a file holds these bytes or this array instead."""
+    """Return damage: a file holds these bytes or this array instead."""
 
     def damage(folder: Path) -> None:
         if isinstance(content, bytes):
@@ -193,7 +205,7 @@ def replaced(name: str, content: bytes | Array) -> Callable[[Path], None]:
 
 
 def edited(name: str, edit: Callable[[bytes], bytes]) -> Callable[[Path], None]:
-    """Damage: a file's bytes are edited."""
+    """Return damage: the bytes of a file are edited."""
 
     def damage(folder: Path) -> None:
         (folder / name).write_bytes(edit((folder / name).read_bytes()))
@@ -202,7 +214,7 @@ def edited(name: str, edit: Callable[[bytes], bytes]) -> Callable[[Path], None]:
 
 
 def renamed(name: str, other: str) -> Callable[[Path], None]:
-    """Damage: a file has another name."""
+    """Return damage: a file has another name."""
 
     def damage(folder: Path) -> None:
         (folder / name).rename(folder / other)
@@ -211,7 +223,7 @@ def renamed(name: str, other: str) -> Callable[[Path], None]:
 
 
 def removed(name: str) -> Callable[[Path], None]:
-    """Damage: a file is gone."""
+    """Return damage: a file is gone."""
 
     def damage(folder: Path) -> None:
         (folder / name).unlink()
@@ -220,7 +232,7 @@ def removed(name: str) -> Callable[[Path], None]:
 
 
 def copied_as(other: str) -> Callable[[Path], None]:
-    """Damage: the first object is there twice, under two names."""
+    """Return damage: the first object is present under two names."""
 
     def damage(folder: Path) -> None:
         for name in (FIRST_X, FIRST_Y):
@@ -230,14 +242,14 @@ def copied_as(other: str) -> Callable[[Path], None]:
 
 
 def with_value(row: int, value: float) -> Array:
-    """Four rows, one of which holds this value."""
+    """Return four rows, one of which holds this value."""
     rows = some_rows(4, 5)
     rows[row, 1] = value
     return rows
 
 
 def zipped() -> bytes:
-    """An archive of arrays, which numpy reads too."""
+    """Return an archive of arrays, which numpy reads too."""
     buffer = io.BytesIO()
     np.savez(buffer, some_rows(4, 1))
     return buffer.getvalue()
@@ -247,20 +259,23 @@ def zipped() -> bytes:
     ("damage", "file", "says"),
     [
         pytest.param(removed(FIRST_Y), FIRST_Y, "is missing beside", id="missing outcome file"),
-        pytest.param(edited(FIRST_X, lambda c: c[:-1]), FIRST_X, "not a whole .npy file", id="a byte short"),
-        pytest.param(edited(FIRST_Y, lambda c: c[:60]), FIRST_Y, "not a whole .npy file", id="cut in its header"),
-        pytest.param(replaced(FIRST_X, b""), FIRST_X, "not a whole .npy file", id="no bytes"),
-        pytest.param(replaced(FIRST_X, b"x,y\n1,2\n"), FIRST_X, "not a whole .npy file", id="text"),
+        pytest.param(edited(FIRST_X, lambda c: c[:-1]), FIRST_X, "not a complete .npy file", id="a byte short"),
+        pytest.param(edited(FIRST_Y, lambda c: c[:60]), FIRST_Y, "not a complete .npy file", id="cut in its header"),
+        pytest.param(replaced(FIRST_X, b""), FIRST_X, "not a complete .npy file", id="no bytes"),
+        pytest.param(replaced(FIRST_X, b"x,y\n1,2\n"), FIRST_X, "not a complete .npy file", id="text"),
         pytest.param(
-            edited(FIRST_X, lambda c: c.replace(b"}", b" ")), FIRST_X, "not a whole .npy file", id="header not closed"
+            edited(FIRST_X, lambda c: c.replace(b"}", b" ")),
+            FIRST_X,
+            "not a complete .npy file",
+            id="header not closed",
         ),
         pytest.param(
             edited(FIRST_X, lambda c: c.replace(b"(4, 3), }" + 16 * b" ", b"(4" + 16 * b"0" + b", 3), }")),
             FIRST_X,
-            "not a whole .npy file",
+            "not a complete .npy file",
             id="header of more rows than any memory",
         ),
-        pytest.param(replaced(FIRST_X, zipped()), FIRST_X, "expected [pushes, 3]", id="archive"),
+        pytest.param(replaced(FIRST_X, zipped()), FIRST_X, "an archive of arrays", id="archive"),
         pytest.param(replaced(FIRST_X, np.zeros((4, 2))), FIRST_X, "(4, 2)", id="two columns"),
         pytest.param(replaced(FIRST_Y, np.zeros(12)), FIRST_Y, "(12,)", id="one dimension"),
         pytest.param(replaced(FIRST_Y, np.zeros((0, 3))), FIRST_Y, "(0, 3)", id="no rows"),
@@ -278,7 +293,7 @@ def zipped() -> bytes:
 def test_a_damaged_folder_is_refused_by_file(
     folder: Path, damage: Callable[[Path], None], file: str, says: str
 ) -> None:
-    """The message names the file at fault and what is wrong with it."""
+    """The error about a damaged file names it and the damage."""
     damage(folder)
 
     with pytest.raises(DataError) as caught:
@@ -288,26 +303,16 @@ def test_a_damaged_folder_is_refused_by_file(
     assert says in str(caught.value)
 
 
-class Trap:
-    """An object whose unpickling makes a folder."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Callable[[str], None], tuple[str]]:
-        return os.mkdir, (str(self.path),)
-
-
 @pytest.mark.parametrize("wrapped", [True, False], ids=["inside an npy", "bare"])
 def test_a_pickle_is_never_loaded(folder: Path, tmp_path: Path, wrapped: bool) -> None:
-    """A file that carries code is refused like any broken one, and the code does not run."""
+    """A file that carries code is refused like any broken file, and the code does not run."""
     sprung = tmp_path / "sprung"
     if wrapped:
-        np.save(folder / FIRST_X, np.array([[Trap(sprung)] * 3], dtype=object), allow_pickle=True)
+        np.save(folder / FIRST_X, np.array([[PickleTrap(sprung)] * 3], dtype=object), allow_pickle=True)
     else:
-        (folder / FIRST_X).write_bytes(pickle.dumps(Trap(sprung)))
+        (folder / FIRST_X).write_bytes(pickle.dumps(PickleTrap(sprung)))
 
-    with pytest.raises(DataError, match=r"not a whole \.npy file of numbers") as caught:
+    with pytest.raises(DataError, match=r"not a complete \.npy file of numbers") as caught:
         read_folder(folder)
 
     assert FIRST_X in str(caught.value)
@@ -316,7 +321,7 @@ def test_a_pickle_is_never_loaded(folder: Path, tmp_path: Path, wrapped: bool) -
 
 @pytest.mark.parametrize("name", [FIRST_X, FIRST_Y, SECOND + PUSHER_SUFFIX, SECOND + OUTCOME_SUFFIX])
 def test_the_digest_changes_with_every_byte_read(folder: Path, name: str) -> None:
-    """The lowest bit of one number of one file makes another digest."""
+    """A change of the lowest bit of one number of one file changes the digest."""
     before = read_folder(folder).digest
     content = bytearray((folder / name).read_bytes())
     content[-8] ^= 1
@@ -326,7 +331,7 @@ def test_the_digest_changes_with_every_byte_read(folder: Path, name: str) -> Non
 
 
 def test_the_digest_changes_with_the_names_of_the_objects(folder: Path) -> None:
-    """The same numbers under another object's name are other data."""
+    """A change of an object's descriptor changes the digest."""
     before = read_folder(folder).digest
     for suffix in (PUSHER_SUFFIX, OUTCOME_SUFFIX):
         (folder / (SECOND + suffix)).rename(folder / ("2C3a3a4a" + suffix))
@@ -334,8 +339,8 @@ def test_the_digest_changes_with_the_names_of_the_objects(folder: Path) -> None:
     assert read_folder(folder).digest != before
 
 
-def test_the_digest_changes_with_nothing_else(folder: Path, tmp_path: Path) -> None:
-    """Neither place, times, order of writing nor files that are not read matter."""
+def test_the_digest_depends_on_the_files_of_pushes_alone(folder: Path, tmp_path: Path) -> None:
+    """The digest does not change with the folder, times, order of writing, or other files."""
     before = read_folder(folder).digest
     other = tmp_path / "elsewhere"
     declare_dataset(other, {"source": "declared this time"})
@@ -350,54 +355,135 @@ def test_the_digest_changes_with_nothing_else(folder: Path, tmp_path: Path) -> N
 
 
 def test_undeclared_files_have_an_unknown_source(folder: Path) -> None:
-    """What nobody declared is called neither simulated nor real."""
+    """A folder without a declaration is called neither simulated nor real."""
     assert read_folder(folder).source == UNKNOWN_SOURCE
     assert "undeclared" in UNKNOWN_SOURCE
 
 
 def test_a_declared_folder_names_its_source(tmp_path: Path) -> None:
-    """The declaration's source is what everything made from the folder carries."""
+    """The pushes of a folder carry the source that the folder declares."""
     declare_dataset(tmp_path, {"source": "simulated pushes (a test)", "simulated": True})
     write_object(tmp_path, FIRST, some_rows(1, 1), some_rows(1, 2))
 
     assert read_folder(tmp_path).source == "simulated pushes (a test)"
 
 
-@pytest.mark.parametrize(
-    "declaration",
-    [b"{}", b"[]", b"{", b"\xff", b"[" * 100_000],
-    ids=["no source", "a list", "not JSON", "not UTF-8", "nested without end"],
-)
-def test_a_declaration_without_a_source_is_refused(folder: Path, declaration: bytes) -> None:
-    """A folder that says something of itself must say where its pushes come from."""
-    (folder / DATASET_FILE).write_bytes(declaration)
-
-    with pytest.raises(DataError, match="key 'source'") as caught:
-        read_folder(folder)
-
-    assert str(folder / DATASET_FILE) in str(caught.value)
-
-
-def test_declaring_twice_is_declaring_once(tmp_path: Path) -> None:
-    """The same declaration is accepted again, pushes in between or not; another is refused."""
-    declare_dataset(tmp_path / "new", {"source": "a", "seed": 1})
-    write_object(tmp_path / "new", FIRST, some_rows(1, 1), some_rows(1, 2))
-    declare_dataset(tmp_path / "new", {"seed": 1, "source": "a"})
-
-    with pytest.raises(DataError, match="declares another dataset"):
-        declare_dataset(tmp_path / "new", {"source": "a", "seed": 2})
-
-
-def test_an_object_is_there_when_both_its_files_are(folder: Path) -> None:
-    """Half an object is none."""
+def test_an_object_exists_if_both_its_files_do(folder: Path) -> None:
+    """An object with only one of its two files does not exist."""
     assert has_object(folder, FIRST)
     (folder / FIRST_Y).unlink()
     assert not has_object(folder, FIRST)
     assert not has_object(folder, "3a3a3a3a")
 
 
-def test_writing_leaves_nothing_but_the_two_files(tmp_path: Path) -> None:
-    """No part file stays behind."""
+def test_writing_leaves_only_the_two_files(tmp_path: Path) -> None:
+    """No part file stays behind after an object is written."""
     write_object(tmp_path, FIRST, some_rows(1, 1), some_rows(1, 2))
 
     assert sorted(path.name for path in tmp_path.iterdir()) == [FIRST_X, FIRST_Y]
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with a few simulated pushes of three objects."""
+    folder = tmp_path_factory.mktemp("simulated") / "abs"
+    simulate_dataset(SimulationPlan(omnipush_descriptors()[:3], pushes_per_object=5), folder, threads=1, quiet=True)
+    return folder
+
+
+def only(folder: Path, variant: Variant) -> Path:
+    """Remove the files of the other variant from a folder."""
+    other = next(each for each in Variant if each is not variant)
+    for suffix in (other.pusher_suffix, other.outcome_suffix):
+        for path in folder.glob("*" + suffix):
+            path.unlink()
+    return folder
+
+
+@pytest.mark.parametrize("kept", [tuple(Variant), (Variant.RAW,)], ids=["both variants", "raw files alone"])
+def test_raw_files_give_the_same_tensors_to_the_bit(simulated: Path, tmp_path: Path, kept: tuple[Variant, ...]) -> None:
+    """An export with raw files has equal arrays and, because the bytes are the same, an equal digest."""
+    assert export_variants(simulated, tmp_path / "out", tuple(Variant), quiet=True) == 3
+    before, after = (
+        read_folder(simulated),
+        read_folder(tmp_path / "out" if len(kept) == 2 else only(tmp_path / "out", *kept)),
+    )
+
+    assert after.descriptors == before.descriptors
+    for name in ("pushers", "outcomes", "valid"):
+        assert getattr(after, name).tobytes() == getattr(before, name).tobytes(), name
+    assert (after.digest, after.source) == (before.digest, before.source)
+
+
+def test_normalised_files_give_the_same_tensors_within_rounding(simulated: Path, tmp_path: Path) -> None:
+    """An export of normalised files alone differs by at most one step of float32: it is converted in float64."""
+    export_variants(simulated, tmp_path / "out", tuple(Variant), quiet=True)
+    before, after = read_folder(simulated), read_folder(only(tmp_path / "out", Variant.NORMALISED))
+
+    assert after.descriptors == before.descriptors
+    assert (after.valid == before.valid).all()
+    for name in ("pushers", "outcomes"):
+        np.testing.assert_allclose(getattr(after, name), getattr(before, name), rtol=FLOAT32_STEP, atol=1e-15)
+    assert after.source == before.source
+    assert after.digest != before.digest  # other files were read
+
+
+def test_raw_files_can_be_made_from_normalised_ones(simulated: Path, tmp_path: Path) -> None:
+    """Raw files exported from normalised ones agree with the original ones within rounding."""
+    export_variants(simulated, tmp_path / "normalised", (Variant.NORMALISED,), quiet=True)
+    export_variants(tmp_path / "normalised", tmp_path / "raw", (Variant.RAW,), quiet=True)
+
+    assert {path.name for path in (tmp_path / "raw").iterdir()} == {path.name for path in simulated.iterdir()}
+    np.testing.assert_allclose(
+        read_folder(tmp_path / "raw").outcomes, read_folder(simulated).outcomes, rtol=FLOAT32_STEP, atol=1e-15
+    )
+
+
+def test_normalised_files_hold_the_published_transformation(tmp_path: Path) -> None:
+    """Normalised numbers are minus the published mean, divided by the published deviation, both written out here."""
+    pushers, outcomes = plausible_pushes(4, 1)
+    write_object(tmp_path, "1a2b3c4a", pushers, outcomes, (Variant.NORMALISED,))
+
+    found = np.load(tmp_path / "1a2b3c4a_X_3_norm.npy"), np.load(tmp_path / "1a2b3c4a_y_3_norm.npy")
+    assert found[0][2, 0] == pytest.approx((pushers[2, 0] + 0.0016330612124875188) / 0.05546203628182411)
+    assert found[1][3, 2] == pytest.approx((outcomes[3, 2] + 0.002690065884962678) / 0.21515865623950958)
+    assert not list(tmp_path.glob("*not_norm*"))
+
+
+def test_an_export_keeps_the_declared_source(tmp_path: Path) -> None:
+    """An export carries the declared source of its folder, or the unknown one if the folder declares none."""
+    write_surface(tmp_path / "abs", ["1a2b3c4a"], rows=2)
+    export_variants(tmp_path / "abs", tmp_path / "declared", tuple(Variant), quiet=True)
+    (tmp_path / "abs" / DATASET_FILE).unlink()
+    export_variants(tmp_path / "abs", tmp_path / "undeclared", tuple(Variant), quiet=True)
+
+    assert read_folder(tmp_path / "declared").source == SOURCE
+    assert read_folder(tmp_path / "undeclared").source == UNKNOWN_SOURCE
+
+
+def test_pushes_of_another_origin_are_not_mixed_in(tmp_path: Path) -> None:
+    """An export is refused into a folder with another declaration, with undeclared pushes, or into itself."""
+    write_surface(tmp_path / "abs", ["1a2b3c4a"], rows=2)
+    for name in ("bare", "other"):
+        (tmp_path / name).mkdir()
+        write_object(tmp_path / name, "1a1a1a1a", *plausible_pushes(2, 1))
+
+    with pytest.raises(DataError, match="not declared as simulated"):
+        export_variants(tmp_path / "abs", tmp_path / "bare", tuple(Variant), quiet=True)
+    with pytest.raises(DataError, match="already holds pushes"):
+        export_variants(tmp_path / "other", tmp_path / "bare", tuple(Variant), quiet=True)
+    with pytest.raises(DataError, match="is the folder to export"):
+        export_variants(tmp_path / "abs", tmp_path / "abs" / ".." / "abs", tuple(Variant), quiet=True)
+    assert len(list_folder(tmp_path / "bare").pairs) == 1
+
+
+def test_a_broken_folder_is_not_exported(tmp_path: Path) -> None:
+    """The error about a broken folder names the fault, and no file is written."""
+    write_surface(tmp_path / "abs", ["1a2b3c4a"], rows=2)
+    (tmp_path / "abs" / "1a2b3c4a_y_3_not_norm.npy").unlink()
+
+    with pytest.raises(DataError, match="is missing beside"):
+        export_variants(tmp_path / "abs", tmp_path / "out", tuple(Variant), quiet=True)
+    with pytest.raises(DataError, match="name the folder of one surface"):
+        export_variants(tmp_path, tmp_path / "out", tuple(Variant), quiet=True)
+    assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""The simulator: the same files whatever the threads and interruptions, and pushes that obey mechanics."""
+"""Simulated datasets: files that depend on the seed alone, and pushes that obey mechanics."""
 
 import hashlib
 import math
@@ -16,7 +16,7 @@ from mujoco import rollout
 from service.errors import DataError
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
-from training.inspection.statistics import QUANTITIES, likeness, missed
+from training.inspection.statistics import QUANTITIES, compare_statistics, missed
 from training.omnipush.declaration import DATASET_FILE
 from training.omnipush.published import omnipush_descriptors, published_normalisation
 from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, Pushes, read_folder
@@ -52,30 +52,30 @@ SAME_M_AND_RAD = np.array([1e-5, 1e-5, 1e-4])
 
 
 def body_of(descriptor: str) -> Solid:
-    """The solid of a descriptor."""
+    """Return the solid of a descriptor."""
     return solid(ObjectContext.from_descriptor(descriptor))
 
 
 def push(descriptor: str, pushers: npt.ArrayLike, conditions: Conditions | None = None) -> Array:
-    """True outcomes of pushes on one thread; on an even table unless told otherwise."""
+    """Return the true outcomes of pushes on one thread, on an even table by default."""
     poses = np.array(pushers, dtype=np.float64)
     with rollout.Rollout(nthread=1) as pool:
         return push_object(body_of(descriptor), poses, conditions or even_conditions(len(poses)), pool, 1)
 
 
 def some_pushers(descriptor: str, count: int) -> Array:
-    """Random pusher poses, the same for the same object."""
+    """Return random pusher poses, the same for the same object."""
     return sample_pushers(body_of(descriptor), count, np.random.default_rng(5))
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """The sha256 of every file in a folder; what a killed writer left half written is hidden, and read by nobody."""
+    """Return the sha256 of every file in a folder, without hidden part files."""
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob("[!.]*")}
 
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small dataset that was simulated in one go on one thread; not to be changed."""
+    """Folder with a small dataset that was simulated in one go on one thread; not to be changed."""
     folder = tmp_path_factory.mktemp("simulated")
     simulate_dataset(PLAN, folder, threads=1, quiet=True)
     return folder
@@ -97,7 +97,7 @@ def test_the_files_do_not_depend_on_the_number_of_threads(simulated: Path, tmp_p
 
 
 def test_an_object_does_not_depend_on_the_others(simulated: Path, tmp_path: Path) -> None:
-    """Every object has its own random stream: simulated alone, last or first, it is pushed alike."""
+    """Every object has its own random stream, so an object simulated alone has the same files."""
     alone = PLAN.descriptors[1]
     simulate_dataset(replace(PLAN, descriptors=(alone,)), tmp_path, threads=1, quiet=True)
 
@@ -108,7 +108,7 @@ def test_an_object_does_not_depend_on_the_others(simulated: Path, tmp_path: Path
 
 
 def test_objects_and_seeds_have_streams_of_their_own(simulated: Path, tmp_path: Path) -> None:
-    """No two objects get the same pushes, nor does one object under two seeds."""
+    """Two objects, or one object under two seeds, get different pushes."""
     simulate_dataset(replace(PLAN, seed=8, descriptors=PLAN.descriptors[:1]), tmp_path, threads=1, quiet=True)
 
     pushers = [*read_folder(simulated).pushers, *read_folder(tmp_path).pushers]
@@ -116,18 +116,18 @@ def test_objects_and_seeds_have_streams_of_their_own(simulated: Path, tmp_path: 
 
 
 def lose_an_object(folder: Path) -> None:
-    """Both files of an object are gone."""
+    """Interrupt: both files of an object are gone."""
     (folder / (PLAN.descriptors[0] + PUSHER_SUFFIX)).unlink()
     (folder / (PLAN.descriptors[0] + OUTCOME_SUFFIX)).unlink()
 
 
 def die_between_the_files(folder: Path) -> None:
-    """The pusher file was written, the outcome file was not."""
+    """Interrupt: the pusher file was written, the outcome file was not."""
     (folder / (PLAN.descriptors[0] + OUTCOME_SUFFIX)).unlink()
 
 
 def die_within_a_file(folder: Path) -> None:
-    """The outcome file was half written beside its place."""
+    """Interrupt: the outcome file was half written beside its place."""
     path = folder / (PLAN.descriptors[0] + OUTCOME_SUFFIX)
     content = path.read_bytes()
     path.unlink()
@@ -143,7 +143,7 @@ def die_within_a_file(folder: Path) -> None:
     ],
 )
 def test_an_interrupted_simulation_goes_on(simulated: Path, tmp_path: Path, interrupt: Callable[[Path], None]) -> None:
-    """Started again it gives the very same folder and leaves finished objects untouched."""
+    """A simulation started again completes the same folder and leaves finished objects untouched."""
     folder = tmp_path / "interrupted"
     shutil.copytree(simulated, folder)
     interrupt(folder)
@@ -166,7 +166,7 @@ def test_an_interrupted_simulation_goes_on(simulated: Path, tmp_path: Path, inte
     ],
 )
 def test_another_dataset_in_the_same_folder_is_refused(simulated: Path, tmp_path: Path, other: SimulationPlan) -> None:
-    """A folder holds one dataset; what is there stays as it is."""
+    """A folder holds one dataset, and a refused one leaves it unchanged."""
     folder = tmp_path / "taken"
     shutil.copytree(simulated, folder)
 
@@ -178,19 +178,19 @@ def test_another_dataset_in_the_same_folder_is_refused(simulated: Path, tmp_path
 
 
 def test_simulated_pushes_never_join_undeclared_ones(simulated: Path, tmp_path: Path) -> None:
-    """A folder that may hold the real files is refused: the two kinds must not be mistaken for each other."""
+    """A folder that may hold the real files is refused, so that simulated and real pushes are never mixed."""
     name = PLAN.descriptors[0] + PUSHER_SUFFIX
     shutil.copy(simulated / name, tmp_path / name)
 
-    with pytest.raises(DataError, match="nothing declares as simulated") as caught:
+    with pytest.raises(DataError, match="not declared as simulated") as caught:
         simulate_dataset(PLAN, tmp_path, threads=1, quiet=True)
 
     assert str(tmp_path) in str(caught.value)
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-def test_a_simulated_folder_says_so(simulated: Path) -> None:
-    """The source that goes into cards and manifests says simulated, names MuJoCo and the seed."""
+def test_a_simulated_folder_declares_itself(simulated: Path) -> None:
+    """The source of simulated pushes, which goes into cards and manifests, says simulated, MuJoCo and the seed."""
     source = read_folder(simulated).source
 
     assert "simulated" in source
@@ -200,7 +200,7 @@ def test_a_simulated_folder_says_so(simulated: Path) -> None:
 
 @pytest.mark.parametrize("descriptor", ["1a1b1c1a", "2a2B2C2c", "3a3a3a3a", "4a4b4c4a"])
 def test_pushes_start_clear_of_the_object_and_point_at_it(descriptor: str) -> None:
-    """Starts lie in the declared ring, clear of every piece; the line of the push passes the centre closely, ahead."""
+    """Pushes start in the declared ring, clear of every piece, and their line passes the centre closely, ahead."""
     body = body_of(descriptor)
     pushers = sample_pushers(body, 200, np.random.default_rng(1))
     start, heading = pushers[:, :2], np.column_stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])])
@@ -217,7 +217,7 @@ def test_pushes_start_clear_of_the_object_and_point_at_it(descriptor: str) -> No
 
 
 def test_starts_inside_the_object_are_drawn_again() -> None:
-    """Of an object that fills half the ring only the free half is used, and the count is met all the same."""
+    """Around an object that fills half the ring only the free half is used, and the count is still met."""
     wall = np.array([(0.0, -1.0), (1.0, -1.0), (1.0, 1.0), (0.0, 1.0)])
     pushers = sample_pushers(Solid((wall,), (), ()), 50, np.random.default_rng(2))
 
@@ -229,7 +229,7 @@ def test_starts_inside_the_object_are_drawn_again() -> None:
     "bearing", [math.pi, -math.pi / 2, math.pi / 2, 0.0], ids=["along +x", "along +y", "along -y", "along -x"]
 )
 def test_a_symmetric_object_pushed_through_its_centre_goes_straight(bearing: float) -> None:
-    """It moves by the push less the gap to its wall, neither aside nor turning."""
+    """The object moves by the push minus the gap to its wall, neither sideways nor turning."""
     start = 0.080 * np.array([math.cos(bearing), math.sin(bearing)])
     (outcome,) = push("3a3a3a3a", [(*start, bearing + math.pi)])
 
@@ -243,7 +243,7 @@ def test_a_symmetric_object_pushed_through_its_centre_goes_straight(bearing: flo
 
 
 def test_a_mirrored_push_of_a_mirrored_object_has_a_mirrored_outcome() -> None:
-    """Swapping sides 2 and 4 and the push's sign of y and angle swaps the outcome's."""
+    """Swapping sides 2 and 4 and the signs of y and angle of a push changes the signs of y and yaw of the outcome."""
     pushers = some_pushers("1a2B3c4b", 12)
     mirror = np.array([1.0, -1.0, -1.0])
 
@@ -255,7 +255,7 @@ def test_a_mirrored_push_of_a_mirrored_object_has_a_mirrored_outcome() -> None:
 
 @pytest.mark.parametrize("quarter_turns", [1, 2, 3], ids=["quarter turn", "half turn", "three quarters"])
 def test_a_turned_push_of_a_turned_object_has_a_turned_outcome(quarter_turns: int) -> None:
-    """Mechanics does not know where the object frame points."""
+    """Mechanics does not depend on the direction of the object frame."""
     context = ObjectContext.from_descriptor("1a2C3b4a")
     pushers = some_pushers("1a2C3b4a", 8)
     angle = quarter_turns * math.pi / 2
@@ -269,7 +269,7 @@ def test_a_turned_push_of_a_turned_object_has_a_turned_outcome(quarter_turns: in
 
 
 def test_a_heavy_side_lags_behind() -> None:
-    """Pushed through its centre an object turns around its heavy side: the more, the heavier and the further out."""
+    """An object pushed through its centre turns around its heavy side, more if it is heavier or further out."""
     along_x = [(-0.080, 0.0, 0.0)]
     turns = [float(push(descriptor, along_x)[0, 2]) for descriptor in ("3a2a3a2a", "3a2b3a2a", "3a2c3a2a", "3a2C3a2a")]
 
@@ -278,8 +278,8 @@ def test_a_heavy_side_lags_behind() -> None:
     assert np.diff(turns).min() > 0.01
 
 
-def test_where_the_object_lies_on_an_even_table_is_all_the_same() -> None:
-    """Without grain and patches, the object's place and yaw in the world leave no trace in its own frame."""
+def test_the_outcome_does_not_depend_on_the_place_on_an_even_table() -> None:
+    """Without grain and patches the object's place and yaw in the world do not change the outcome in its own frame."""
     pushers = some_pushers("1a2B3c4b", 8)
     lying = np.column_stack([np.linspace(-0.1, 0.1, 8), np.linspace(0.1, -0.05, 8), np.linspace(-3.0, 3.0, 8)])
 
@@ -290,7 +290,7 @@ def test_where_the_object_lies_on_an_even_table_is_all_the_same() -> None:
 def test_the_grain_of_wood_holds_more_across_than_along() -> None:
     """A push at 45 degrees to the grain drags the object along the grain rather than across it.
 
-    The object is round, so that the contact's force acts through its centre but for the friction of the pusher.
+    The object is round, so that the force of the contact acts through its centre, apart from the pusher's friction.
     """
     lying = np.array([(0.0, 0.0, yaw) for yaw in (0.0, math.pi / 4, -math.pi / 4)])
     rough = replace(PLYWOOD, spread=0.0, grain=3.0)
@@ -304,7 +304,7 @@ def test_the_grain_of_wood_holds_more_across_than_along() -> None:
 
 
 def test_the_same_push_on_a_real_table_has_outcomes_that_scatter() -> None:
-    """Patches of friction scatter a repeated push, on plywood more than on ABS; on an even table nothing does."""
+    """A repeated push scatters on patches of friction, on plywood more than on ABS, and not at all on an even table."""
     spread = {}
     for surface in (ABS, PLYWOOD):
         rng = np.random.default_rng(3)
@@ -318,8 +318,8 @@ def test_the_same_push_on_a_real_table_has_outcomes_that_scatter() -> None:
     assert (spread["plywood"] > spread["abs"]).all()
 
 
-def test_nothing_digs_in_and_nothing_flies() -> None:
-    """At every step bodies overlap by less than 0.2 mm, nothing outruns the pusher much, the object stays flat."""
+def test_contacts_are_shallow_and_slow() -> None:
+    """At every step bodies overlap by less than 0.2 mm, and the object stays flat and hardly faster than the pusher."""
     model = scene(body_of("1b2C3c4a")).compile()
     state = mujoco.MjData(model)
     state.qpos[7:9] = (-0.080, 0.005)
@@ -338,21 +338,21 @@ def test_nothing_digs_in_and_nothing_flies() -> None:
     assert abs(float(state.qpos[5])) < 1e-3
 
 
-def test_a_tracker_sees_what_is_there_but_for_its_noise() -> None:
-    """Records are unbiased and spread as the tracker does; the heading of the robot moves with the measured frame."""
+def test_records_are_unbiased_and_have_the_tracker_s_noise() -> None:
+    """Records are unbiased, have the tracker's spread, and express the heading of the push in the measured frame."""
     rng = np.random.default_rng(4)
     pushers, outcomes = np.tile((-0.08, 0.01, 0.1), (4000, 1)), np.tile((0.02, 0.0, 0.2), (4000, 1))
-    seen_pushers, seen_outcomes = record(pushers, outcomes, rng)
+    recorded_pushers, recorded_outcomes = record(pushers, outcomes, rng)
 
-    # a twelfth of the noise is six standard errors of 4000 records; the frame's own yaw moves what lies 80 mm away
-    assert (np.abs((seen_outcomes - outcomes).mean(axis=0)) < np.array(TRACKER_STD) / 6).all()
-    assert (seen_outcomes - outcomes).std(axis=0) == pytest.approx(np.sqrt(2) * np.array(TRACKER_STD), rel=0.1)
-    assert (seen_pushers - pushers).std(axis=0)[1] == pytest.approx(0.08 * TRACKER_STD[2], rel=0.25)
-    assert (seen_pushers - pushers).std(axis=0)[2] == pytest.approx(TRACKER_STD[2], rel=0.1)
+    # A twelfth of the noise is six standard errors of 4000 records. The frame's own yaw moves a point 80 mm away.
+    assert (np.abs((recorded_outcomes - outcomes).mean(axis=0)) < np.array(TRACKER_STD) / 6).all()
+    assert (recorded_outcomes - outcomes).std(axis=0) == pytest.approx(np.sqrt(2) * np.array(TRACKER_STD), rel=0.1)
+    assert (recorded_pushers - pushers).std(axis=0)[1] == pytest.approx(0.08 * TRACKER_STD[2], rel=0.25)
+    assert (recorded_pushers - pushers).std(axis=0)[2] == pytest.approx(TRACKER_STD[2], rel=0.1)
 
 
-def test_a_pose_seen_from_itself_is_the_origin() -> None:
-    """And one metre ahead of a frame that looks along y lies at x = 1, whatever turns the angles made."""
+def test_a_pose_in_its_own_frame_is_the_origin() -> None:
+    """A pose is the origin of its own frame, and angles are wrapped for a frame turned several times."""
     poses = np.array([(1.0, 2.0, 3.0), (0.0, 1.0, 0.5)])
     frames = np.array([(1.0, 2.0, 3.0), (0.0, 0.0, math.pi / 2 - 4 * math.pi)])
 
@@ -368,7 +368,7 @@ def test_every_outcome_belongs_to_its_push() -> None:
 
 
 def test_a_push_that_misses_leaves_the_object() -> None:
-    """Pushing away from the object or past it moves nothing, and counts as missed; a hit does not."""
+    """A push away from the object or past it does not move it and counts as missed, and a hit does not."""
     outcomes = push("1a2b3c4a", [(-0.080, 0.0, math.pi), (0.0, 0.090, 0.0), (-0.080, 0.0, 0.0), (-0.080, 0.01, 0.0)])
 
     assert (np.abs(outcomes[:2]) < 1e-5).all()
@@ -377,7 +377,7 @@ def test_a_push_that_misses_leaves_the_object() -> None:
 
 
 def test_objects_move_away_from_the_pusher_and_no_further_than_it_went(sample: Pushes) -> None:
-    """Along the push every object moves by more than nothing and less than 50 mm, but for the tracker's noise."""
+    """Along the push every object moves by 0 to 50 mm, within the tracker's noise."""
     angle = sample.pushers[..., 2]
     along = sample.outcomes[..., 0] * np.cos(angle) + sample.outcomes[..., 1] * np.sin(angle)
 
@@ -387,17 +387,17 @@ def test_objects_move_away_from_the_pusher_and_no_further_than_it_went(sample: P
 
 
 def test_hardly_any_push_misses(sample: Pushes) -> None:
-    """Less than 2 % of the pushes of the benchmark's objects leave them where they were."""
+    """Less than 2 % of the pushes of the benchmark's objects leave them in place."""
     assert missed(sample.outcomes).mean() < 0.02
 
 
 def test_simulated_pushes_are_spread_like_the_published_ones(sample: Pushes) -> None:
     """Every standard deviation is within 15 % of Omnipush's.
 
-    Of 300 pushes a standard deviation has a sampling error of about 1 / sqrt(600), 4 %, and the turn with its heavy
-    tails a larger one. The whole dataset agrees within 5 %; 15 % leaves two and a half sampling errors beside that.
+    A standard deviation of 300 pushes has a sampling error of about 1 / sqrt(600), 4 %. That of the yaw with its heavy
+    tails is larger. The whole dataset agrees within 5 %, and 15 % leaves two and a half sampling errors beside that.
     """
-    figures = likeness(*sample.rows(), published_normalisation())
+    figures = compare_statistics(*sample.rows(), published_normalisation())
 
     assert [figure.quantity for figure in figures] == list(QUANTITIES)
     assert [figure.ratio for figure in figures] == pytest.approx([1.0] * 6, abs=0.15)

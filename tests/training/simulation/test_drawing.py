@@ -1,12 +1,9 @@
-"""Top-down views: where things are in them, how bright, and how they are written and read."""
+"""Drawing of top-down views: geometry, grey levels, and the files written."""
 
 import io
-import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,9 +13,9 @@ from PIL import Image
 from service.errors import DataError
 from service.pushing.contexts import ObjectContext
 from service.pushing.image_quality import quality_flags
-from service.pushing.images import FIELD_OF_VIEW_M, IMAGE_CONVENTION, GreyImage, decode, visual_context
+from service.pushing.images import FIELD_OF_VIEW_M, GreyImage, decode, visual_context
 from training.omnipush.published import omnipush_descriptors
-from training.omnipush.views import UNKNOWN_CONVENTION, convention_of, read_views, source_of
+from training.omnipush.views import read_views
 from training.simulation.drawing import PIXEL_M, top_down_view, write_views
 from training.simulation.solids import RECTANGLE_DEPTH_M, WEIGHT_RADIUS_M, solid
 
@@ -27,25 +24,18 @@ OBJECTS = ("1a2a3a4a", "2C3b1a4a", "4a4c1a3b")
 
 
 def view_of(descriptor: str) -> npt.NDArray[np.uint8]:
-    """The view of an object."""
+    """Draw the view of an object."""
     return top_down_view(ObjectContext.from_descriptor(descriptor))
 
 
 def level_at(view: npt.NDArray[np.uint8], x_m: float, y_m: float) -> int:
-    """The level at a point of the object frame, by the convention: x right, y up, the origin in the middle."""
+    """Return the level at a point of the object frame: x right, y up, the origin in the middle."""
     return int(view[round(240 - y_m / PIXEL_M), round(240 + x_m / PIXEL_M)])
-
-
-def write_view(folder: Path, array: npt.NDArray[Any], name: str = "shape_1a2a3a4a.npy") -> Path:
-    """A file as somebody else may have written it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    np.save(folder / name, array, allow_pickle=True)
-    return folder / name
 
 
 @pytest.mark.parametrize(("side", "place"), [(1, (1, 0)), (2, (0, 1)), (3, (-1, 0)), (4, (0, -1))])
 def test_each_side_is_where_the_convention_says(side: int, place: tuple[int, int]) -> None:
-    """Side 1 right, side 2 up, side 3 left, side 4 down: there are the weight and the tip, and nowhere else."""
+    """Side 1 is right, 2 up, 3 left and 4 down: the weight and the tip are there and at no other side."""
     sides = ["4a"] * 4
     sides[side - 1] = "2c"
     view = view_of("".join(sides))
@@ -56,8 +46,8 @@ def test_each_side_is_where_the_convention_says(side: int, place: tuple[int, int
         assert beyond_rectangle == (BODY if marked else BACKGROUND)
 
 
-def test_shapes_are_told_apart_at_their_outer_edge() -> None:
-    """Concave is hollow in the middle and full at its corners, circular the other way round, rectangular full."""
+def test_shapes_differ_at_their_outer_edge() -> None:
+    """A concave side is hollow in the middle, a circular one at its corners, and a rectangular one is full."""
     view = view_of("1a2a3a4a")
     assert level_at(view, 0.060, 0.0) == BACKGROUND
     assert level_at(view, 0.060, 0.0275) == level_at(view, 0.060, -0.0275) == BODY
@@ -69,7 +59,7 @@ def test_shapes_are_told_apart_at_their_outer_edge() -> None:
 
 
 def test_weights_are_discs_as_bright_as_they_are_heavy() -> None:
-    """60 g and 150 g differ, and both places of a triangle do."""
+    """Weights of 60 g and 150 g have different levels, at both positions in a triangle."""
     view = view_of("2b4c3a2B")
     assert level_at(view, 0.037, 0.0) == LIGHT_WEIGHT
     assert level_at(view, 0.0, 0.037) == HEAVY_WEIGHT
@@ -82,7 +72,7 @@ def test_weights_are_discs_as_bright_as_they_are_heavy() -> None:
 
 @pytest.mark.parametrize("descriptor", OBJECTS)
 def test_the_area_is_that_of_the_pieces(descriptor: str) -> None:
-    """Nothing is drawn twice, left out at a seam, or swollen by a pixel."""
+    """The drawn area is that of the pieces: no part is drawn twice, left out at a seam, or a pixel too large."""
     bare = "".join(digit + "a" for digit in descriptor[::2])
     area = 0.0
     for piece in solid(ObjectContext.from_descriptor(bare)).pieces:
@@ -92,7 +82,7 @@ def test_the_area_is_that_of_the_pieces(descriptor: str) -> None:
 
 
 def test_an_edge_within_a_pixel_gives_the_share_that_is_covered() -> None:
-    """Anti-aliased: the outer face of a rectangular side falls into column 429 and covers nine tenths of it."""
+    """The outer face of a rectangular side falls into column 429, whose level is the covered share."""
     edge = (0.029 + RECTANGLE_DEPTH_M) / PIXEL_M
     share = edge - round(edge) + 0.5
     assert 0.1 < share < 0.95
@@ -101,14 +91,14 @@ def test_an_edge_within_a_pixel_gives_the_share_that_is_covered() -> None:
 
 @pytest.mark.parametrize("descriptor", OBJECTS)
 def test_turning_the_object_turns_its_view(descriptor: str) -> None:
-    """A quarter turn of the object is a quarter turn of the picture, counter-clockwise."""
+    """A quarter turn of the object is a quarter turn of the view, counter-clockwise."""
     context = ObjectContext.from_descriptor(descriptor)
     turned = top_down_view(context.turned(1)).astype(int)
     assert np.abs(turned - np.rot90(top_down_view(context))).max() <= 1
 
 
 def test_every_object_of_the_benchmark_keeps_clear_of_the_border() -> None:
-    """10 mm of room, as the convention promises, and nothing is flagged."""
+    """Every object leaves 10 mm of room, as the convention promises, and no view is flagged."""
     for descriptor in omnipush_descriptors():
         corners = np.concatenate(solid(ObjectContext.from_descriptor(descriptor)).pieces)
         assert np.linalg.norm(corners, axis=1).max() < FIELD_OF_VIEW_M / 2 - 0.010
@@ -117,7 +107,7 @@ def test_every_object_of_the_benchmark_keeps_clear_of_the_border() -> None:
 
 @pytest.mark.parametrize("camera", [False, True])
 def test_views_are_written_as_published_and_read_as_the_service_reads_uploads(tmp_path: Path, camera: bool) -> None:
-    """``shape_<descriptor>.npy``, 481 x 481; the same picture as a PNG upload gives the same context to the byte."""
+    """A written view is 481 x 481, and the same picture uploaded as PNG gives the same context to the byte."""
     write_views(tmp_path, OBJECTS, camera, seed=3, quiet=True)
     seen = read_views(tmp_path, OBJECTS)
     assert (seen.shape, seen.dtype) == ((3, 1, 32, 32), np.dtype(np.uint8))
@@ -129,15 +119,8 @@ def test_views_are_written_as_published_and_read_as_the_service_reads_uploads(tm
         assert visual_context(decode(buffer.getvalue())).levels == context.tobytes()
 
 
-def test_the_order_of_objects_is_the_callers(tmp_path: Path) -> None:
-    """Row i is object i, whatever order they were drawn in."""
-    write_views(tmp_path, OBJECTS, quiet=True)
-    assert np.array_equal(read_views(tmp_path, OBJECTS[::-1]), read_views(tmp_path, OBJECTS)[::-1])
-    assert read_views(tmp_path, ()).shape == (0, 1, 32, 32)
-
-
 def test_files_depend_on_object_and_seed_alone(tmp_path: Path) -> None:
-    """Not on order, interruption or repetition; the seed changes every one of them."""
+    """Views do not depend on order, interruption or repetition, and the seed changes every camera view."""
     write_views(tmp_path / "a", OBJECTS, camera=True, seed=1, quiet=True)
     write_views(tmp_path / "b", OBJECTS[2:], camera=True, seed=1, quiet=True)
     write_views(tmp_path / "b", OBJECTS[::-1], camera=True, seed=1, quiet=True)
@@ -148,9 +131,12 @@ def test_files_depend_on_object_and_seed_alone(tmp_path: Path) -> None:
 
 
 def test_several_processes_may_draw_into_one_folder(tmp_path: Path, project_root: Path) -> None:
-    """They do the work twice at worst; what is there afterwards is what one alone would have written."""
+    """Two processes leave the files that one alone would have written."""
     write_views(tmp_path / "together", (), quiet=True)
-    code = f"from pathlib import Path; from training.simulation.drawing import write_views; write_views(Path('together'), {OBJECTS})"
+    code = (
+        "from pathlib import Path; from training.simulation.drawing import write_views; "
+        f"write_views(Path('together'), {OBJECTS})"
+    )
     command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(project_root)!r}); {code}"]
     running = [subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.DEVNULL) for _ in range(2)]
     assert [process.wait() for process in running] == [0, 0]
@@ -159,8 +145,8 @@ def test_several_processes_may_draw_into_one_folder(tmp_path: Path, project_root
     assert written == {path.name: path.read_bytes() for path in (tmp_path / "alone").iterdir()}
 
 
-def test_a_view_that_is_there_stays(tmp_path: Path) -> None:
-    """Drawing again mends what is missing and touches nothing else."""
+def test_existing_views_are_kept(tmp_path: Path) -> None:
+    """Drawing again adds missing views and leaves the others untouched."""
     write_views(tmp_path, OBJECTS, quiet=True)
     kept, lost = (tmp_path / f"shape_{descriptor}.npy" for descriptor in OBJECTS[:2])
     before, content = kept.stat().st_mtime_ns, lost.read_bytes()
@@ -171,123 +157,15 @@ def test_a_view_that_is_there_stays(tmp_path: Path) -> None:
 
 
 def test_a_folder_holds_views_of_one_kind(tmp_path: Path) -> None:
-    """Camera views among clean ones, or of another seed, would go unnoticed."""
+    """Clean and camera views, or camera views of two seeds, are not mixed in one folder."""
     write_views(tmp_path, OBJECTS[:1], camera=True, seed=1, quiet=True)
     for camera, seed in ((False, 0), (True, 2)):
         with pytest.raises(DataError, match="declares another dataset"):
             write_views(tmp_path, OBJECTS, camera, seed, quiet=True)
 
 
-def test_a_folder_says_how_its_pictures_were_taken(tmp_path: Path) -> None:
-    """Ours by our convention and as simulated, anybody else's are not claimed to be; the camera's seed is named."""
-    write_views(tmp_path / "ours", (), quiet=True)
-    (tmp_path / "theirs").mkdir()
-    (tmp_path / "pushes").mkdir()
-    (tmp_path / "pushes" / "dataset.json").write_text('{"source": "pushes"}', encoding="utf-8")
-    assert convention_of(tmp_path / "ours") == IMAGE_CONVENTION
-    assert convention_of(tmp_path / "theirs") == UNKNOWN_CONVENTION
-    assert source_of(tmp_path / "theirs") == "top-down views of undeclared origin"
-    write_views(tmp_path / "camera", (), camera=True, seed=7, quiet=True)
-    assert source_of(tmp_path / "ours") == "simulated top-down views"
-    assert source_of(tmp_path / "camera") == "simulated top-down views (camera, seed 7)"
-    with pytest.raises(DataError, match=r"dataset\.json says nothing of pictures \(key 'image_convention'\)"):
-        convention_of(tmp_path / "pushes")
-
-
-def test_the_folders_of_the_release_are_looked_into(tmp_path: Path) -> None:
-    """0_weight, 1_weight and 2_weight below the folder."""
-    write_views(tmp_path / "flat", OBJECTS, quiet=True)
-    for weights, descriptor in zip("021", OBJECTS, strict=True):
-        name = f"shape_{descriptor}.npy"
-        write_view(tmp_path / "sorted" / f"{weights}_weight", np.load(tmp_path / "flat" / name), name)
-    assert np.array_equal(read_views(tmp_path / "sorted", OBJECTS), read_views(tmp_path / "flat", OBJECTS))
-
-
-@pytest.mark.parametrize(
-    "convert",
-    [
-        lambda view: view / 255.0,
-        lambda view: (view / 255.0).astype(np.float32),
-        lambda view: view.astype(np.float64),
-        lambda view: view.astype(np.int64),
-        lambda view: view.astype(">i4"),
-        lambda view: view.astype(np.uint16) * 257,
-        lambda view: np.asfortranarray(view),
-    ],
-    ids=["fractions", "fractions of 32 bits", "0 to 255", "int64", "big-endian", "16 bits", "column by column"],
-)
-def test_any_numeric_type_is_read(tmp_path: Path, convert: Callable[[Any], npt.NDArray[Any]]) -> None:
-    """The type of the published files is not known: whatever says the same gives the same context."""
-    view = view_of("1a2a3a4a")
-    write_view(tmp_path, convert(view))
-    assert read_views(tmp_path, ["1a2a3a4a"]).tobytes() == visual_context(GreyImage(view)).levels
-
-
-def test_a_black_and_white_mask_is_read(tmp_path: Path) -> None:
-    """True is white, and so is 1 in an array of whole numbers."""
-    mask = view_of("1a2a3a4a") > 0
-    expected = visual_context(GreyImage(mask.astype(np.uint8) * 255)).levels
-    for array in (mask, mask.astype(np.int32), mask.astype(np.float64)):
-        write_view(tmp_path, array)
-        assert read_views(tmp_path, ["1a2a3a4a"]).tobytes() == expected
-
-
-class Trap:
-    """What a pickle can do: make a folder in the place where it is loaded."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return os.mkdir, (str(self.path),)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "words"),
-    [
-        (lambda path: path.unlink(), "is missing; fetch it, or draw"),
-        (lambda path: path.write_bytes(b""), "not a whole .npy"),
-        (lambda path: path.write_bytes(path.read_bytes()[:5000]), "not a whole .npy"),
-        (lambda path: path.write_bytes(b"PK\3\4" + bytes(100)), "not a whole .npy"),
-        (lambda path: path.write_bytes(bytes(3_000_000)), "more than"),
-        (lambda path: np.save(path, np.zeros((480, 480))), r"shape \(480, 480\); expected \(481, 481\)"),
-        (lambda path: np.save(path, np.zeros((481, 481, 3), np.uint8)), r"shape \(481, 481, 3\)"),
-        (lambda path: np.save(path, np.full((481, 481), np.nan)), "not in"),
-        (lambda path: np.save(path, np.full((481, 481), -1)), "not in"),
-        (lambda path: np.save(path, np.full((481, 481), 300.0)), "not in"),
-        (lambda path: np.save(path, np.full((481, 481), 1j, np.complex64)), "complex64"),
-        (lambda path: np.save(path, np.array([Trap(path.parent / "sprung")]), allow_pickle=True), "not a whole .npy"),
-        (lambda path: write_view(path.parent / "1_weight", np.load(path)), "the same object; keep one"),
-    ],
-    ids=[
-        "missing", "empty", "truncated", "an archive", "too long", "another size", "colour", "NaN", "negative",
-        "beyond 255", "complex", "a pickle", "two files",
-    ],
-)  # fmt: skip
-def test_a_file_that_is_no_view_ends_in_one_line_that_names_it(
-    tmp_path: Path, spoil: Callable[[Path], object], words: str
-) -> None:
-    """What is wrong, and what to do; a pickle is never loaded."""
-    path = write_view(tmp_path, view_of("1a2a3a4a"))
-    spoil(path)
-    with pytest.raises(DataError, match=words) as raised:
-        read_views(tmp_path, ["1a2a3a4a"])
-    assert str(path.name) in str(raised.value)
-    assert "\n" not in str(raised.value)
-    assert not (tmp_path / "sprung").exists()
-
-
-def test_the_trap_of_these_tests_is_a_trap(tmp_path: Path) -> None:
-    """Loaded by numpy with pickles allowed, it springs: so the test above can fail."""
-    np.save(tmp_path / "trap.npy", np.array([Trap(tmp_path / "sprung")]), allow_pickle=True)
-    np.load(tmp_path / "trap.npy", allow_pickle=True)
-    assert (tmp_path / "sprung").exists()
-
-
-def test_a_folder_that_is_not_there_or_cannot_be_written_is_named(tmp_path: Path) -> None:
-    """Reading names the command that would fill it; writing says what stands in the way."""
-    with pytest.raises(DataError, match="nowhere is not a folder of top-down views; run 'cazsl-train images"):
-        read_views(tmp_path / "nowhere", OBJECTS)
+def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    """The error about a folder of views that cannot be written names it and the system's reason."""
     (tmp_path / "file").write_bytes(b"")
     with pytest.raises(DataError, match=r"file/views cannot be written \(Not a directory\)"):
         write_views(tmp_path / "file" / "views", OBJECTS, quiet=True)

@@ -1,4 +1,4 @@
-"""Objects as solids: pieces, weights, feet, symmetry and distances."""
+"""Solids of objects: pieces, weights, feet, symmetry and distances."""
 
 import math
 from collections import Counter
@@ -16,23 +16,23 @@ UNIT_SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
 
 
 def body_of(descriptor: str) -> Solid:
-    """The solid of a descriptor."""
+    """Return the solid of a descriptor."""
     return solid(ObjectContext.from_descriptor(descriptor))
 
 
 def area_m2(piece: Polygon) -> float:
-    """Shoelace formula: positive for counter-clockwise corners."""
+    """Compute the area by the shoelace formula, positive for counter-clockwise corners."""
     x, y = piece.T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def quarter_turned(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Points (n, 2) turned by +90 degrees."""
+    """Turn points (n, 2) by +90 degrees."""
     return np.column_stack([-points[:, 1], points[:, 0]])
 
 
 def corner_sets(pieces: tuple[Polygon, ...]) -> Counter[frozenset[tuple[float, float]]]:
-    """The pieces without their order and without the corner that each begins at; whole nanometres."""
+    """Return the pieces without their order and their first corner, in whole nanometres."""
     return Counter(frozenset((round(x, 9) + 0.0, round(y, 9) + 0.0) for x, y in piece) for piece in pieces)
 
 
@@ -54,14 +54,14 @@ def test_a_descriptor_gives_its_pieces_weights_and_feet(descriptor: str, pieces:
 
 
 def test_weights_have_the_masses_of_their_letters() -> None:
-    """Letters b and B are 60 g, c and C are 150 g."""
+    """Weights b and B are 60 g, c and C are 150 g."""
     masses = [weight.mass_kg for weight in body_of("2b2c2B2C").weights]
 
     assert masses == [0.060, 0.150, 0.060, 0.150]
 
 
 def test_every_piece_is_convex_and_counter_clockwise() -> None:
-    """No piece of any of the 250 objects has a corner that turns right or an area that is not positive."""
+    """Every piece of the 250 objects has only left turns and a positive area."""
     for descriptor in omnipush_descriptors():
         for piece in body_of(descriptor).pieces:
             edges = np.roll(piece, -1, axis=0) - piece
@@ -82,15 +82,15 @@ def test_every_piece_is_convex_and_counter_clockwise() -> None:
     ],
 )
 def test_sides_have_the_areas_of_their_shapes(shape: str, side_area_m2: float, relative: float) -> None:
-    """Pieces neither overlap nor leave gaps: their areas add up to the core and four times the drawn side."""
+    """Pieces neither overlap nor leave gaps: their areas add up to the core and four times the side."""
     total = sum(area_m2(piece) for piece in body_of(f"{shape}a" * 4).pieces)
 
     assert (total - CORE_AREA_M2) / 4.0 == pytest.approx(side_area_m2, rel=relative)
 
 
 @pytest.mark.parametrize("side", range(4), ids=["side 1 to +x", "side 2 to +y", "side 3 to -x", "side 4 to -y"])
-def test_sides_look_where_the_object_frame_says(side: int) -> None:
-    """Side 1 looks along +x, side 2 along +y, side 3 along -x and side 4 along -y."""
+def test_sides_face_the_axes_of_the_object_frame(side: int) -> None:
+    """Side 1 faces +x, side 2 faces +y, side 3 faces -x and side 4 faces -y."""
     sides = ["3a"] * 4
     sides[side] = "3b"
     (weight,) = body_of("".join(sides)).weights
@@ -102,7 +102,7 @@ def test_sides_look_where_the_object_frame_says(side: int) -> None:
 @pytest.mark.parametrize("quarter_turns", [1, 2, 3], ids=["quarter turn", "half turn", "three quarters"])
 @pytest.mark.parametrize("descriptor", ["1a2b3c4a", "2B1a2C3a", "4c4a3a1b"])
 def test_turning_a_solid_is_shifting_its_sides(descriptor: str, quarter_turns: int) -> None:
-    """The solid of a turned context is the turned solid: same pieces, same weights, same feet."""
+    """The solid of a turned context is the turned solid, with the same pieces, weights and feet."""
     context = ObjectContext.from_descriptor(descriptor)
     found, body = solid(context.turned(quarter_turns)), solid(context)
     pieces = body.pieces

@@ -1,1 +1,0 @@
-"""Write pushes again in the release's variants: the same pushes, raw, normalised, or both."""
