@@ -1,9 +1,9 @@
-"""What reading a whole dataset costs: time and memory of the loader beside numpy alone on the same files.
+"""Time and memory of reading a whole dataset, beside numpy alone on the same files.
 
     python -m benchmarks.loading [--data data/simulated/abs] [--rounds 7]
 
-Each reading has a process of its own, so that its peak memory is its own; the readings take turns, and the first round
-warms the system's file cache. The peak is of the whole process, Python and numpy included.
+Each reading runs in its own process, so peak memory is measured per reading. The peak is that of the whole process,
+Python and numpy included. The readings take turns, and the first round warms the system's file cache.
 """
 
 import argparse
@@ -24,9 +24,8 @@ import json, resource, sys, time
 from pathlib import Path
 import numpy as np
 from training.omnipush.pushes import read_folder
-from training.simulation.drawing import read_views
 from training.inspection.inspection import inspect
-from training.inspection.views import VIEWS_FOLDER
+from training.omnipush.views import VIEWS_FOLDER, read_views
 folder = Path(sys.argv[1])
 started = time.perf_counter()
 {reading}
