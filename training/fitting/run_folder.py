@@ -1,5 +1,14 @@
-"""The folder of a training run: configuration, metrics, checkpoint, weights, cost."""
+"""The folder of a training run: its files, and how each is written and read.
 
+- ``config.json``: recipe, origin of the data, version of the code. Written first.
+- ``metrics.jsonl``: one line per epoch.
+- ``checkpoint.pt``: network, optimiser, next epoch and time spent. Renewed while the run trains.
+- ``cost.json`` and ``weights.safetensors``: written when the run ends.
+
+The metrics grow line by line. Every other file is replaced as a whole, so neither a reader nor a crash meets a part.
+"""
+
+import io
 import json
 import time
 from pathlib import Path
@@ -7,11 +16,13 @@ from typing import Any, Final, NamedTuple
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
+from safetensors.torch import save as render_safetensors
 from torch import Tensor
 
 import service
 from service.errors import DataError
+from service.storage.disk import replace_whole
 from training.fitting.recipe import CIRCULAR, Recipe, parse_recipe_record
 from training.fitting.samples import TrainingData
 from training.networks.neural_process import NeuralProcess
@@ -25,24 +36,24 @@ COST_FILE: Final = "cost.json"
 Network = PushNetwork | NeuralProcess
 
 
-class Spent(NamedTuple):
-    """What a run took, over all its sittings."""
+class TimeSpent(NamedTuple):
+    """Time spent on a run, summed over its interruptions."""
 
-    seconds: float  # by the clock, pauses and whatever else had the machine included
+    seconds: float  # by the clock, including pauses and other programs on the machine
     processor_s: float  # of all threads of the process
 
     @classmethod
-    def now(cls) -> "Spent":
-        """Readings that only differences of mean something."""
+    def now(cls) -> "TimeSpent":
+        """Read both clocks. Only the difference of two readings has a meaning."""
         return cls(time.monotonic(), time.process_time())
 
-    def since(self, started: "Spent", before: "Spent") -> "Spent":
-        """What passed from ``started`` to this, on top of what came before."""
-        return Spent(*(old + new - at for old, new, at in zip(before, self, started, strict=True)))
+    def since(self, started: "TimeSpent", before: "TimeSpent") -> "TimeSpent":
+        """Return the time from ``started`` to this reading, added to ``before``."""
+        return TimeSpent(*(old + new - at for old, new, at in zip(before, self, started, strict=True)))
 
 
 def build_network(recipe: Recipe, shape: Shape) -> Network:
-    """A fresh network of a recipe, from torch's generator."""
+    """Build a recipe's network with fresh weights, drawn from torch's generator."""
     method = recipe.network()
     if method.neural_process:
         return NeuralProcess(shape.inputs, shape.outputs)
@@ -50,7 +61,7 @@ def build_network(recipe: Recipe, shape: Shape) -> Network:
 
 
 def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:
-    """The recipe, the fitted network and the recorded data of a finished run.
+    """Load a finished run: its recipe, its fitted network and the recorded origin of its data.
 
     Raises:
         DataError: the run is missing or not finished.
@@ -68,8 +79,12 @@ def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:
     return recipe, network.eval(), config["data"]
 
 
-def _open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
-    """Write what the run is, or check that the folder holds the same one."""
+def open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
+    """Create the folder and record the run, or check that the folder records the same run.
+
+    Raises:
+        DataError: the folder records another recipe, other data or another version of the code.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     config = {
         "recipe": recipe.record(),
@@ -78,42 +93,44 @@ def _open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
     }
     text = json.dumps(config, indent=2, sort_keys=True) + "\n"
     path = folder / CONFIG_FILE
-    if path.exists() and path.read_text(encoding="utf-8") != text:
+    if not path.exists():
+        replace_whole(path, text.encode())
+    elif path.read_text(encoding="utf-8") != text:
         raise DataError(f"{path} records another run (recipe, data or code version); choose another --run or remove it")
-    path.write_text(text, encoding="utf-8")
 
 
-def _save_checkpoint(
-    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, spent: Spent
+def save_checkpoint(
+    folder: Path, network: Network, adam: torch.optim.Optimizer, next_epoch: int, spent: TimeSpent
 ) -> None:
-    part = folder / (CHECKPOINT_FILE + ".part")
+    """Write the state from which ``resume`` continues with ``next_epoch``."""
     state = {"network": network.state_dict(), "adam": adam.state_dict(), "next_epoch": next_epoch, **spent._asdict()}
-    torch.save(state, part)
-    part.replace(folder / CHECKPOINT_FILE)
+    content = io.BytesIO()
+    torch.save(state, content)
+    replace_whole(folder / CHECKPOINT_FILE, content.getvalue())
 
 
-def _resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, Spent]:
-    """Load the last checkpoint, drop the metrics written after it; the epoch to go on with, and what it took so far."""
+def resume(folder: Path, network: Network, adam: torch.optim.Optimizer) -> tuple[int, TimeSpent]:
+    """Load the last checkpoint and drop metrics logged after it. Return the next epoch and the time spent so far."""
     path, metrics = folder / CHECKPOINT_FILE, folder / METRICS_FILE
-    next_epoch, spent = 0, Spent(0.0, 0.0)
+    next_epoch, spent = 0, TimeSpent(0.0, 0.0)
     if path.is_file():
         checkpoint = torch.load(path, map_location="cpu", weights_only=True)
         network.load_state_dict(checkpoint["network"])
         adam.load_state_dict(checkpoint["adam"])
         next_epoch, seconds = int(checkpoint["next_epoch"]), float(checkpoint["seconds"])
-        spent = Spent(seconds, float(checkpoint.get("processor_s", seconds)))  # which older checkpoints do not tell
+        spent = TimeSpent(seconds, float(checkpoint.get("processor_s", seconds)))  # absent from older checkpoints
     if metrics.is_file():
-        lines = metrics.read_text(encoding="utf-8").splitlines(keepends=True)
-        metrics.write_text("".join(lines[:next_epoch]), encoding="utf-8")
+        lines = metrics.read_bytes().splitlines(keepends=True)
+        replace_whole(metrics, b"".join(lines[:next_epoch]))
     return next_epoch, spent
 
 
-def _write_cost(folder: Path, cost: dict[str, str | float]) -> None:
-    """Write what the training took."""
-    (folder / COST_FILE).write_text(json.dumps(cost, sort_keys=True) + "\n", encoding="utf-8")
+def write_cost(folder: Path, cost: dict[str, str | float]) -> None:
+    """Write the cost of the training: times, device and precision."""
+    replace_whole(folder / COST_FILE, (json.dumps(cost, sort_keys=True) + "\n").encode())
 
 
-def _write_weights(folder: Path, network: Network) -> None:
-    part = folder / (WEIGHTS_FILE + ".part")
-    save_file({name: value.cpu() for name, value in network.state_dict().items()}, part)
-    part.replace(folder / WEIGHTS_FILE)
+def write_weights(folder: Path, network: Network) -> None:
+    """Write the network's weights."""
+    weights = {name: value.cpu() for name, value in network.state_dict().items()}
+    replace_whole(folder / WEIGHTS_FILE, render_safetensors(weights))

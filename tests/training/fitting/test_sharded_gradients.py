@@ -1,4 +1,4 @@
-"""Gradients by shards: those of the whole batch, and the same to the bit on any number of cores."""
+"""Gradients in shards: equal to those of the whole batch, and the same to the bit on any number of cores."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from service.model.tensors import ContextKind
 from training.fitting.losses import context_regulariser, gaussian_nll
 from training.fitting.recipe import Recipe
 from training.fitting.samples import Samples
-from training.fitting.sharded_gradients import cores, set_gradients, shards_of
+from training.fitting.sharded_gradients import set_gradients, shards_of, thread_pool
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 
@@ -24,7 +24,7 @@ CELLS = [
 
 
 def batch_of(kind: ContextKind, objects: int = 10, pushes: int = 250) -> Samples:
-    """Random pushes, the last object's all padding but one."""
+    """Draw random pushes. The last object has a single valid push."""
     generator = torch.Generator().manual_seed(3)
     inputs, targets = torch.randn(2, objects, pushes, 3, generator=generator)
     valid = torch.ones(objects, pushes)
@@ -34,32 +34,32 @@ def batch_of(kind: ContextKind, objects: int = 10, pushes: int = 250) -> Samples
 
 
 def network_of(method: str, kind: ContextKind) -> PushNetwork:
-    """A fresh network in training."""
+    """Build a fresh network in training mode."""
     torch.manual_seed(1)
     return PushNetwork(METHODS[method], PUSH_SHAPES[kind]).train()
 
 
 def recipe_of(method: str, kind: ContextKind) -> Recipe:
-    """A recipe with a regulariser that counts."""
+    """Make a recipe whose regulariser has a large weight."""
     return Recipe("push", method, str(kind), "different-objects", 1, 64, 0.002, 0, 0.5, 2.0, "float32", 0)
 
 
 def gradients(network: PushNetwork) -> list[Tensor]:
-    """Of every parameter, zeros where it has none."""
+    """Return the gradient of every parameter, zeros where it has none."""
     return [torch.zeros_like(value) if value.grad is None else value.grad for value in network.parameters()]
 
 
 @pytest.fixture
 def threads() -> Iterator[None]:
-    """Leave torch with as many threads as it had."""
+    """Restore the number of torch's threads after a test."""
     before = torch.get_num_threads()
     yield
     torch.set_num_threads(before)
 
 
 @pytest.mark.parametrize(("method", "kind"), CELLS)
-def test_shares_add_up_to_the_gradient_of_the_whole_loss(method: str, kind: ContextKind) -> None:
-    """Likelihood over all pushes, regulariser over all pairs, batch norm over all objects: as autograd has them."""
+def test_shards_add_up_to_the_gradient_of_the_whole_loss(method: str, kind: ContextKind) -> None:
+    """Likelihood over all pushes, regulariser over all pairs and batch norm over all objects match autograd's."""
     batch, recipe = batch_of(kind), recipe_of(method, kind)
     network, whole = network_of(method, kind), network_of(method, kind)
     mean, log_std, conditioning = whole(batch.inputs, batch.context)
@@ -80,20 +80,20 @@ def test_shares_add_up_to_the_gradient_of_the_whole_loss(method: str, kind: Cont
 def test_a_gradient_is_the_same_to_the_bit_on_any_number_of_cores(
     method: str, kind: ContextKind, dtype: torch.dtype, threads: None
 ) -> None:
-    """One thread, two or three, whoever is first."""
+    """Gradients on one, two and three threads are equal to the bit."""
     found = []
     for count in (1, 2, 3):
         torch.set_num_threads(count)
         network = network_of(method, kind)
-        with cores() as run:
-            terms = set_gradients(network, batch_of(kind), recipe_of(method, kind), dtype, run)
+        with thread_pool() as shard_map:
+            terms = set_gradients(network, batch_of(kind), recipe_of(method, kind), dtype, shard_map)
         found.append([*terms, *gradients(network)])
 
     assert all(torch.equal(one, other) for others in found[1:] for one, other in zip(found[0], others, strict=True))
 
 
-def test_gradients_do_not_pile_up() -> None:
-    """Those of the step before are forgotten."""
+def test_gradients_do_not_accumulate() -> None:
+    """The gradients of a step replace those of the step before."""
     batch, recipe = batch_of(ContextKind.INDICATOR), recipe_of("FCN + CM + NeuralReg", ContextKind.INDICATOR)
     network = network_of(recipe.method, ContextKind.INDICATOR)
     set_gradients(network, batch, recipe, torch.float32)
@@ -109,17 +109,17 @@ def test_gradients_do_not_pile_up() -> None:
     [(64, 250, [16] * 4), (8, 250, [2] * 4), (3, 250, [3]), (5, 250, [2, 3]), (32, 18, [32]), (1, 2000, [1])],
 )
 def test_a_batch_is_cut_into_few_shards_of_whole_objects(objects: int, pushes: int, sizes: list[int]) -> None:
-    """Every object is in one of them, and none is too small to be worth a call."""
+    """Every object is in one shard, and no shard is too small to be worth a call."""
     shards = shards_of(batch_of(ContextKind.NONE, objects, pushes))
 
     assert [shard.stop - shard.start for shard in shards] == sizes
     assert [number for shard in shards for number in range(shard.start, shard.stop)] == list(range(objects))
 
 
-def test_torch_has_its_threads_back_afterwards(threads: None) -> None:
-    """Whatever happened in between."""
+def test_torch_gets_its_threads_back(threads: None) -> None:
+    """Torch has its former number of threads after a step, even one that failed."""
     torch.set_num_threads(2)
-    with pytest.raises(ZeroDivisionError), cores() as run:
-        list(run(lambda shard: 1 / 0, [slice(0, 1)]))  # type: ignore[arg-type,return-value]
+    with pytest.raises(ZeroDivisionError), thread_pool() as shard_map:
+        list(shard_map(lambda shard: 1 / 0, [slice(0, 1)]))  # type: ignore[arg-type,return-value]
 
     assert torch.get_num_threads() == 2
