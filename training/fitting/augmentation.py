@@ -1,9 +1,12 @@
-"""More pushes than were made, from what physics promises: symmetric scenes, and pushes that miss.
+"""Augmentation of a batch by the laws of physics: symmetric scenes, and pushes without contact.
 
-An object's frame is a choice of which side is called the first, so a scene turned by quarters in it is a scene of the
-object turned. Shapes and weights are symmetric about their side's axis, so the mirrored scene is one of the object
-whose sides 2 and 4 are swapped. And a push that touches nothing moves nothing. The published data hold almost none of
-the last, and each object under one name only.
+- Turn: an object's frame depends on which side is called the first. A scene turned by a quarter is therefore a scene
+  of the object with its sides renumbered.
+- Mirror: shapes and weights are symmetric about their side's axis. A mirrored scene is therefore a scene of the object
+  with sides 2 and 4 swapped.
+- No contact: a push that misses the object does not move it.
+
+The published data hold each object under a single descriptor, and almost no push without contact.
 """
 
 import math
@@ -16,21 +19,21 @@ import torch
 from torch import Tensor
 
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
-from service.pushing.poses import PUSH_LENGTH_M
+from service.pushing.poses import PUSH_LENGTH_M, wrap_angles
 from training.fitting.samples import Samples
 from training.networks.angles import wrapped
 from training.omnipush.published import published_normalisation
 
-# No object reaches further from its centre, the pusher's radius included: Omnipush's pushes start outside of it.
-REACH_M: Final = 0.0755
+# The greatest distance from an object's centre to its edge, plus the pusher's radius. Omnipush's pushes start outside.
+OBJECT_REACH_M: Final = 0.0755
 FURTHEST_START_M: Final = 0.300
 Floats = npt.NDArray[np.float64]
 
 
 def augmented(samples: Samples, symmetries: bool, no_contact: float, rng: np.random.Generator) -> Samples:
-    """Samples of a batch, each object turned and mirrored at random, a share of the pushes replaced by ones that miss.
+    """Turn and mirror each object of a batch at random, and replace a share of its pushes by pushes without contact.
 
-    What is drawn depends on the generator alone.
+    The random numbers depend on the generator alone.
     """
     objects = len(samples.inputs)
     if symmetries:
@@ -38,15 +41,15 @@ def augmented(samples: Samples, symmetries: bool, no_contact: float, rng: np.ran
         samples = in_symmetric_frames(samples, torch.from_numpy(quarter_turns), torch.from_numpy(mirrored))
     if no_contact > 0.0:
         chosen = rng.uniform(size=samples.valid.shape) < no_contact
-        missing = missing_pushers(chosen.size, rng).reshape(*chosen.shape, 3)
-        samples = _with_misses(samples, torch.from_numpy(chosen), missing)
+        pushers = no_contact_pushers(chosen.size, rng).reshape(*chosen.shape, 3)
+        samples = _with_no_contact(samples, torch.from_numpy(chosen), pushers)
     return samples
 
 
 def in_symmetric_frames(samples: Samples, quarter_turns: Tensor, mirrored: Tensor) -> Samples:
-    """The samples of each object mirrored about its x axis (0 or 1), then turned by that many times +90 degrees.
+    """Mirror the samples of each object about its x axis where ``mirrored`` is 1, then turn them by +90 degree steps.
 
-    Both are (objects,) integers. Contexts follow: indicators by sides, views as pictures with x right and y up.
+    Both are (objects,) integers. Contexts follow: indicators by sides, views as images with x right and y up.
     """
     device = samples.inputs.device
     quarter_turns, mirrored = quarter_turns.to(device), mirrored.to(device)
@@ -57,7 +60,7 @@ def in_symmetric_frames(samples: Samples, quarter_turns: Tensor, mirrored: Tenso
     change = torch.stack([cosine, sine, -sine * handedness, cosine * handedness], dim=-1).reshape(-1, 2, 2)
 
     def moved(poses: Tensor, mean: Floats, std: Floats, quarters: Tensor) -> Tensor:
-        """Normalised poses (objects, pushes, 3) in the new frames."""
+        """Return normalised poses (objects, pushes, 3) in the new frames."""
         centre, scale = (torch.tensor(value, dtype=torch.float32, device=device) for value in (mean, std))
         position, angle = torch.split(poses * scale + centre, [2, 1], dim=-1)
         turned = wrapped(handedness[:, None, None] * angle + quarters[:, None, None] * (math.pi / 2.0))
@@ -71,24 +74,26 @@ def in_symmetric_frames(samples: Samples, quarter_turns: Tensor, mirrored: Tenso
     )
 
 
-def missing_pushers(count: int, rng: np.random.Generator) -> Floats:
-    """Random pusher poses (count, 3) whose whole path misses every object; x_m, y_m, angle_rad.
+def no_contact_pushers(count: int, rng: np.random.Generator) -> Floats:
+    """Draw pusher poses (count, 3), in m, m, rad, whose whole path misses every object.
 
-    They start from where the benchmark's do to far away, nearer ones more often, and go anywhere but through the reach
-    of the objects: those that would are turned about.
+    Starts lie between Omnipush's starts and ``FURTHEST_START_M``, near ones more often. Directions are uniform, but a
+    path that would come within ``OBJECT_REACH_M`` of the centre is reversed.
     """
-    radius = REACH_M + (FURTHEST_START_M - REACH_M) * rng.uniform(size=count) ** 3
+    radius = OBJECT_REACH_M + (FURTHEST_START_M - OBJECT_REACH_M) * rng.uniform(size=count) ** 3
     bearing, angle = rng.uniform(-np.pi, np.pi, (2, count))
     start = radius[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
-    along = np.clip(-radius * np.cos(angle - bearing), 0.0, PUSH_LENGTH_M)  # of the path, to its nearest point
+    along = np.clip(
+        -radius * np.cos(angle - bearing), 0.0, PUSH_LENGTH_M
+    )  # of the path, to the point nearest to the centre
     nearest = start + along[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-    touching = np.hypot(*nearest.T) < REACH_M
+    touching = np.hypot(*nearest.T) < OBJECT_REACH_M
     angle = np.where(touching, angle + np.pi, angle)
-    return np.column_stack([start, np.arctan2(np.sin(angle), np.cos(angle))])
+    return np.column_stack([start, wrap_angles(angle)])
 
 
-def _with_misses(samples: Samples, chosen: Tensor, pushers: Floats) -> Samples:
-    """The samples with these pushers, and no motion, where chosen."""
+def _with_no_contact(samples: Samples, chosen: Tensor, pushers: Floats) -> Samples:
+    """Replace the chosen pushes (objects, pushes) by these pushers, and their outcomes by rest."""
     known = published_normalisation()
     inputs = torch.from_numpy((pushers - known.input_mean) / known.input_std).to(samples.inputs)
     rest = torch.from_numpy(-known.output_mean / known.output_std).to(samples.targets)
@@ -101,11 +106,13 @@ def _with_misses(samples: Samples, chosen: Tensor, pushers: Floats) -> Samples:
 
 
 def _symmetric_context(context: Tensor, quarter_turns: Tensor, mirrored: Tensor) -> Tensor:
-    """Contexts of the objects mirrored, then turned; (objects, 0) has nothing to change."""
+    """Return the contexts of the objects mirrored, then turned. Contexts (objects, 0) stay as they are."""
     if context.shape[-1] == 0:
         return context
     if context.dim() == 2:
-        sides = torch.arange(SIDES, device=context.device) - quarter_turns[:, None]  # (objects, 4): where each was
+        sides = (
+            torch.arange(SIDES, device=context.device) - quarter_turns[:, None]
+        )  # (objects, 4): the former place of each side
         sides = torch.where(mirrored[:, None] > 0, -sides, sides) % SIDES
         by_side = context.reshape(-1, SIDES, BITS_PER_SIDE)
         return by_side.take_along_dim(sides[..., None], dim=1).flatten(1)

@@ -1,4 +1,4 @@
-"""Error, likelihood and calibration on held-out objects: the paper's measures, and what they leave out."""
+"""Error, likelihood and calibration on held-out objects: the paper's measures, and coverage beside them."""
 
 import math
 from dataclasses import dataclass
@@ -21,20 +21,20 @@ COVERAGE_LEVELS: Final = (0.50, 0.90, 0.95)
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Figures over all valid samples and their outputs; normalised units unless a name says otherwise."""
+    """Measures over all valid samples and their outputs, in normalised units unless a name says otherwise."""
 
     rmse: float
     std: float  # exp of the mean predicted log standard deviation
     distance_mm: float
     nll: float  # per push, summed over the outputs
-    coverage: dict[float, float]  # share of values inside each central interval
-    sharpness: tuple[float, ...]  # mean predicted std of each output; of pushes in metres, metres, radians
+    coverage: dict[float, float]  # share of true values inside each central interval, by its probability
+    sharpness: tuple[float, ...]  # mean predicted std of each output (pushes: in metres, metres, radians)
 
 
 def evaluate(network: PushNetwork | NeuralProcess, samples: Samples, leak: bool = False) -> Evaluation:
-    """Measure a network on samples; a neural process on those that it is not given as support, from its prior.
+    """Measure a network on samples. A neural process predicts its target pushes from the prior.
 
-    ``leak`` shows a neural process the targets before it predicts them, as the published evaluation does.
+    ``leak`` gives a neural process the targets before it predicts them, as the published evaluation does.
     """
     training = network.training
     network.eval()
@@ -50,7 +50,7 @@ def evaluate(network: PushNetwork | NeuralProcess, samples: Samples, leak: bool 
 
 
 def measure(mean: FloatArray, log_std: FloatArray, outcome: FloatArray, target_std: tuple[float, ...]) -> Evaluation:
-    """The measures of normalised Gaussians (n, outputs) against normalised outcomes; ``target_std`` is their unit."""
+    """Measure normalised Gaussians (n, outputs) against normalised outcomes. ``target_std``: the outputs' units."""
     error = outcome.astype(np.float64) - mean
     z = error * np.exp(-log_std.astype(np.float64))
     rmse = math.sqrt(float(np.mean(error**2)))
@@ -62,6 +62,6 @@ def measure(mean: FloatArray, log_std: FloatArray, outcome: FloatArray, target_s
 
 
 def _coverage(z: npt.NDArray[np.float64], level: float) -> float:
-    """Share of standardised errors inside the central interval of this probability."""
+    """Return the share of standardised errors inside the central interval of this probability."""
     half_width = NormalDist().inv_cdf(0.5 + level / 2.0)
     return float(np.mean(np.abs(z) <= half_width))

@@ -1,4 +1,4 @@
-"""The Siamese objective of the paper's section III: Gaussian likelihood plus the context regulariser."""
+"""Losses: the paper's Siamese objective (section III), Gaussian likelihood plus context regulariser, and divergence."""
 
 import math
 from collections.abc import Callable
@@ -8,10 +8,10 @@ from torch import Tensor
 
 
 def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor, pushes: Tensor | None = None) -> Tensor:
-    """Negative log likelihood averaged over all valid pushes and their outputs.
+    """Return the negative log likelihood, averaged over all valid pushes and their outputs.
 
     ``mean``, ``log_std`` and ``target`` are (objects, pushes, outputs), ``valid`` is (objects, pushes): one or zero.
-    Of a part of a batch, ``pushes`` is how many the whole of it has: the parts add up to the average.
+    For a shard of a batch, ``pushes`` is the number of valid pushes in the whole batch: shards add up to the average.
     """
     scaled = (target - mean) * torch.exp(-log_std)
     per_output = 0.5 * scaled * scaled + log_std + 0.5 * math.log(2.0 * math.pi)
@@ -22,10 +22,10 @@ def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor, p
 def context_regulariser(
     mask: Tensor, context: Tensor, distance: Callable[[Tensor, Tensor], Tensor], lambda_1: float, lambda_2: float
 ) -> Tensor:
-    """``lambda_1 (|m(c) - m(c')| - lambda_2 d(c, c'))^2`` averaged over the Siamese pairs of a batch.
+    """Return ``lambda_1 (|m(c) - m(c')| - lambda_2 d(c, c'))^2``, averaged over the Siamese pairs of a batch.
 
-    The batch is cut into two halves; object i of the first half is paired with object i of the second. Of an odd
-    batch the last object has no partner and is left out.
+    The batch is cut into two halves. Object i of the first half is paired with object i of the second. In an odd batch
+    the last object has no partner and is left out.
     """
     half = len(mask) // 2
     if half == 0:
@@ -36,7 +36,7 @@ def context_regulariser(
 
 
 def gaussian_divergence(mean: Tensor, std: Tensor, prior_mean: Tensor, prior_std: Tensor) -> Tensor:
-    """Kullback-Leibler divergence of independent Gaussians from a prior, summed over the last axis."""
+    """Return the Kullback-Leibler divergence of independent Gaussians from a prior, summed over the last axis."""
     ratio = std / prior_std
     shift = (mean - prior_mean) / prior_std
     return (0.5 * (ratio * ratio + shift * shift - 1.0) - torch.log(ratio)).sum(dim=-1)

@@ -1,4 +1,4 @@
-"""Recipes: one small file per model, everything that its training depends on besides the data."""
+"""Recipes: one small TOML file per model, with all that its training depends on besides the data."""
 
 import math
 import tomllib
@@ -28,7 +28,7 @@ PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 @dataclass(frozen=True)
 class Recipe:
-    """One training run, whole."""
+    """Recipe of one training run."""
 
     name: str  # of the model in the registry
     method: str  # a row of the paper's tables
@@ -36,45 +36,43 @@ class Recipe:
     set_up: str
     epochs: int
     batch_objects: int  # objects per mini-batch, each with all its pushes
-    learning_rate: float  # of Adam; with warm-up the highest
-    warm_up_steps: int  # steps to the highest rate, which then falls with the root of the step; 0: a constant rate
+    learning_rate: float  # of Adam (with warm-up, the highest rate)
+    warm_up_steps: int  # steps to the highest rate, which then falls with the root of the step (0: a constant rate)
     lambda_1: float
     lambda_2: float
-    precision: (
-        str  # of the wide matrix products: float32, bfloat16, or auto: bfloat16 where the processor multiplies it
-    )
+    precision: str  # of the wide matrix products: float32, bfloat16, or auto (bfloat16 where it is native)
     seed: int
-    # Beyond the paper. Every default is the paper's training, and a record leaves out what is at its default.
-    angle: str = "raw"  # of the push, as the first layer takes it: raw radians, or circular: cosine and sine
+    # Beyond the paper. Every default is the paper's training, and a record leaves out fields that have their default.
+    angle: str = "raw"  # of the push, as input of the first layer: raw (radians) or circular (cosine and sine)
     symmetries: bool = False  # turn and mirror each object of a batch at random
-    no_contact: float = 0.0  # share of pushes that are replaced by pushes that miss
-    least_std: float = 0.0  # added to every predicted std, normalised: what even a perfect model could not know
-    cooling_epochs: int = 0  # at the end, in which the learning rate falls to 0 along half a cosine
+    no_contact: float = 0.0  # share of pushes that are replaced by pushes without contact
+    least_std: float = 0.0  # added to every predicted std, normalised: the noise that remains with a perfect model
+    cooling_epochs: int = 0  # last epochs, over which the learning rate falls to 0 along half a cosine
 
     def network(self) -> Method:
-        """The method that the recipe names."""
+        """Return the method that the recipe names."""
         return METHODS[self.method]
 
     @property
     def context_kind(self) -> ContextKind:
-        """What the network wants to know of the object."""
+        """Return the kind of context that the network takes."""
         return ContextKind(self.context)
 
     def split(self) -> Split:
-        """The objects to train on and to hold out."""
+        """Return the split: the objects to train on and those to hold out."""
         return SET_UPS[self.set_up]()
 
     def record(self) -> dict[str, str | int | float | bool]:
-        """The recipe as a flat document, without what is at its default."""
+        """Return the recipe as a flat document, without fields that have their default."""
         found = {field.name: (getattr(self, field.name), field.default) for field in fields(self)}
         return {name: value for name, (value, default) in found.items() if value != default}
 
 
 def read_recipe(name_or_path: str) -> Recipe:
-    """A recipe that ships with the trainer, by name, or any file, by path.
+    """Read a recipe: by name one that ships with the trainer, by path any TOML file.
 
     Raises:
-        DataError: there is none, or a field is missing, unknown or impossible.
+        DataError: there is no such recipe, or a field is missing, unknown or impossible.
     """
     path = Path(name_or_path)
     shipped = resources.files("training.recipes").joinpath(f"{path.name}.toml")
@@ -88,10 +86,10 @@ def read_recipe(name_or_path: str) -> Recipe:
 
 
 def parse_recipe(text: str, where: str) -> Recipe:
-    """Read a recipe's text.
+    """Parse the text of a recipe file.
 
     Raises:
-        DataError: names the field at fault.
+        DataError: the text is not TOML, or a field is wrong. The message names the field.
     """
     try:
         values = tomllib.loads(text)
@@ -101,10 +99,10 @@ def parse_recipe(text: str, where: str) -> Recipe:
 
 
 def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
-    """Read a recipe from a flat document, as a recipe file or a run's record holds it.
+    """Parse a recipe from a flat document, as a recipe file or a run's record holds it.
 
     Raises:
-        DataError: names the field at fault.
+        DataError: a field is missing, unknown or impossible. The message names it.
     """
     wanted = {field.name: field.type for field in fields(Recipe)}
     required = {field.name for field in fields(Recipe) if field.default is MISSING}
@@ -138,7 +136,7 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
 
 
 def _check_beyond_paper(recipe: Recipe, where: str) -> None:
-    """Hold the fields that have defaults."""
+    """Check the fields that have defaults."""
     if recipe.angle not in ANGLES:
         raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(ANGLES)}")
     if not 0.0 <= recipe.no_contact < 1.0:
@@ -150,6 +148,6 @@ def _check_beyond_paper(recipe: Recipe, where: str) -> None:
 
 
 def recipe_names() -> list[str]:
-    """The recipes that ship with the trainer."""
+    """Return the names of the recipes that ship with the trainer."""
     files = resources.files("training.recipes").iterdir()
     return sorted(file.name.removesuffix(".toml") for file in files if file.name.endswith(".toml"))

@@ -1,4 +1,4 @@
-"""What a network is fitted to: normalised tensors by object, and the record of where they come from."""
+"""Samples to fit and evaluate networks on: normalised tensors by object, with the record of their origin."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,17 +22,17 @@ AnyArray = npt.NDArray[np.floating[Any]]
 
 @dataclass(frozen=True)
 class Samples:
-    """Inputs and targets of objects (or, in the paper's regression, of parameter sets) as the networks take them."""
+    """Inputs and targets of objects (in the paper's regression: of parameter sets), as the networks take them."""
 
     inputs: Tensor  # (objects, samples, inputs)
     targets: Tensor  # (objects, samples, outputs)
     valid: Tensor  # (objects, samples): 1 for a sample, 0 for padding
     context: Tensor  # (objects, *context)
-    target_std: tuple[float, ...]  # what 1 stands for in each output: metres, metres, radians for pushes
+    target_std: tuple[float, ...]  # the unit of each output (pushes: in metres, metres, radians)
 
     @classmethod
     def of(cls, pushes: Pushes, kind: ContextKind) -> "Samples":
-        """Normalise pushes with the published statistics; contexts of this kind.
+        """Normalise pushes with the published statistics, and add their contexts of this kind.
 
         Raises:
             DataError: the kind is visual and the pushes were read without views.
@@ -46,21 +46,21 @@ class Samples:
     def of_arrays(
         cls, inputs: AnyArray, targets: AnyArray, valid: AnyArray, context: AnyArray, target_std: tuple[float, ...]
     ) -> "Samples":
-        """Numbers as float32 tensors."""
+        """Convert arrays to float32 tensors."""
         tensors = [torch.from_numpy(array.astype(np.float32)) for array in (inputs, targets, valid, context)]
         return cls(tensors[0], tensors[1], tensors[2], tensors[3], target_std)
 
     @property
     def shape(self) -> Shape:
-        """What goes into and comes out of a network for them."""
+        """Return the shape of a network for these samples."""
         return Shape(tuple(self.context.shape[1:]), self.inputs.shape[-1], self.targets.shape[-1])
 
     def select(self, objects: Tensor) -> "Samples":
-        """Those of some objects, in this order."""
+        """Return the samples of some objects, in this order."""
         return self._map(lambda tensor: tensor[objects])
 
     def singly(self) -> "Samples":
-        """Every sample as an object of its own, with its object's context; padding is left out."""
+        """Return every sample as an object of its own, with its object's context and without padding."""
         present = self.valid > 0
         return Samples(
             self.inputs[present][:, None],
@@ -71,7 +71,7 @@ class Samples:
         )
 
     def to(self, device: torch.device) -> "Samples":
-        """The same on this device."""
+        """Copy the samples to a device."""
         return self._map(lambda tensor: tensor.to(device))
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "Samples":
@@ -80,7 +80,11 @@ class Samples:
 
 
 def contexts(pushes: Pushes, kind: ContextKind) -> FloatArray:
-    """The context of each object: (objects, 0), (objects, 36) or (objects, 1, 32, 32) in 0..1."""
+    """Return the context of each object: (objects, 0), (objects, 36), or (objects, 1, 32, 32) in 0..1.
+
+    Raises:
+        DataError: the kind is visual and the pushes were read without views.
+    """
     if kind is ContextKind.NONE:
         return np.zeros((len(pushes.descriptors), 0), dtype=np.float32)
     if kind is ContextKind.INDICATOR:
@@ -92,15 +96,15 @@ def contexts(pushes: Pushes, kind: ContextKind) -> FloatArray:
 
 @dataclass(frozen=True)
 class TrainingData:
-    """What a run is fitted to, what it is held to, and what its record says of both."""
+    """Data of a run: samples to train on, samples held out, and the record of their origin."""
 
     train: Samples
     held_out: Samples
-    origin: dict[str, str]  # source and sha256, of the held-out surface as well where it is another
+    origin: dict[str, str]  # source and sha256, also of the held-out surface if it is another one
 
     @classmethod
     def of(cls, split: Split, kind: ContextKind, pushes: Pushes, test_pushes: Pushes | None = None) -> "TrainingData":
-        """The split's objects; those held out come from ``test_pushes`` where the split tests on another surface.
+        """Select the split's objects. Held-out objects come from ``test_pushes`` if the split tests on another surface.
 
         Raises:
             DataError: objects are missing.
@@ -114,7 +118,7 @@ class TrainingData:
 
 
 def read_training_data(split: Split, kind: ContextKind, folder: Path, views: Path | None = None) -> TrainingData:
-    """Read a surface's folder for a split; a split that tests on another surface has its folder beside this one.
+    """Read a surface's folder for a split. If the split tests on another surface, its folder lies beside this one.
 
     Raises:
         DataError: files or objects are missing or damaged.
@@ -125,7 +129,7 @@ def read_training_data(split: Split, kind: ContextKind, folder: Path, views: Pat
 
 
 def read_pushes(folder: Path, kind: ContextKind, views: Path | None = None) -> Pushes:
-    """Pushes of a folder, with the views of their objects where contexts are visual; see ``views_beside``.
+    """Read the pushes of a folder, and for visual contexts the views of their objects (see ``views_beside``).
 
     Raises:
         DataError: files are missing or damaged.

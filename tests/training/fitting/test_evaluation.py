@@ -1,4 +1,4 @@
-"""The measures against figures worked out by hand, and coverage against samples of the prediction itself."""
+"""Evaluation: measures against figures computed by hand, and coverage against samples of the prediction itself."""
 
 import math
 
@@ -16,36 +16,36 @@ from training.omnipush.pushes import Pushes
 
 UNIT = (0.01, 0.02, 0.5)
 
-# Two pushes: errors 1, 2, 2 and 0, 0, 4; standard deviations 1, 2, 4 and 1, 2, 1.
+# Two pushes: errors 1, 2, 2 and 0, 0, 4. Standard deviations 1, 2, 4 and 1, 2, 1.
 OUTCOME = np.array([[1.0, 2.0, 2.0], [0.0, 0.0, 4.0]], dtype=np.float32)
 MEAN = np.zeros((2, 3), dtype=np.float32)
 LOG_STD = np.log([[1.0, 2.0, 4.0], [1.0, 2.0, 1.0]]).astype(np.float32)
 
 
 def pushes_of(pushers: FloatArray, outcomes: FloatArray, valid: FloatArray) -> Pushes:
-    """Pushes of the first objects of a list, without files."""
+    """Make pushes of the first objects of a list, without files."""
     descriptors = ("1a2b3c4a", "4a4a4a4a", "2B3a1a1a")[: len(pushers)]
     return Pushes(descriptors, pushers, outcomes, valid, "a test", "0" * 64)
 
 
 @pytest.fixture
 def by_hand() -> Evaluation:
-    """The measures of the two pushes above."""
+    """Measure the two pushes above."""
     return measure(MEAN, LOG_STD, OUTCOME, UNIT)
 
 
 def test_rmse_is_over_all_pushes_and_outputs(by_hand: Evaluation) -> None:
-    """The root of (1 + 4 + 4 + 0 + 0 + 16) / 6."""
+    """The RMSE of both pushes is the root of (1 + 4 + 4 + 0 + 0 + 16) / 6."""
     assert by_hand.rmse == pytest.approx(math.sqrt(25.0 / 6.0))
 
 
 def test_std_is_the_geometric_mean_of_the_predicted_ones(by_hand: Evaluation) -> None:
-    """The sixth root of 1 * 2 * 4 * 1 * 2 * 1."""
+    """The STD of both pushes is the sixth root of 1 * 2 * 4 * 1 * 2 * 1."""
     assert by_hand.std == pytest.approx(16.0 ** (1.0 / 6.0))
 
 
 def test_distance_is_rmse_in_the_paper_s_millimetres(by_hand: Evaluation) -> None:
-    """The factor is 21.92 mm, the norm of the published x and y output deviations."""
+    """Distance is RMSE times 21.92 mm, the norm of the published x and y output deviations."""
     assert by_hand.distance_mm == pytest.approx(21.92 * math.sqrt(25.0 / 6.0))
     assert 1000.0 * np.linalg.norm(published_normalisation().output_std[:2]) == pytest.approx(
         DISTANCE_MM_PER_RMSE, abs=0.005
@@ -53,7 +53,7 @@ def test_distance_is_rmse_in_the_paper_s_millimetres(by_hand: Evaluation) -> Non
 
 
 def test_nll_is_per_push_and_summed_over_the_outputs(by_hand: Evaluation) -> None:
-    """Half the squares of 1, 1, 0.5 and 0, 0, 4, the logs of the deviations, and 1.5 log(2 pi) for each push."""
+    """NLL sums half squares (1, 1, 0.5 and 0, 0, 4), log deviations, and 1.5 log(2 pi) per push."""
     squares = 0.5 * (1.0 + 1.0 + 0.25 + 16.0)
     assert by_hand.nll == pytest.approx((squares + math.log(16.0)) / 2.0 + 1.5 * math.log(2.0 * math.pi))
 
@@ -64,12 +64,12 @@ def test_coverage_counts_values_inside_the_intervals(by_hand: Evaluation) -> Non
 
 
 def test_sharpness_is_the_mean_std_in_si_units(by_hand: Evaluation) -> None:
-    """Mean of 1 and 1, 2 and 2, 4 and 1, times the output deviations: metres, metres, radians."""
+    """Sharpness is the mean std of each output times its unit: metres, metres, radians."""
     assert by_hand.sharpness == pytest.approx((0.01, 0.04, 1.25))
 
 
 def test_a_gaussian_covers_its_own_samples() -> None:
-    """Samples of the prediction lie in its central intervals as often as these say; 60,000 values leave 0.2 % noise."""
+    """Coverage of samples of the prediction equals each interval's level. 60,000 values leave 0.2 % noise."""
     rng = np.random.default_rng(3)
     mean, log_std = rng.normal(size=(20_000, 3)), rng.normal(size=(20_000, 3))
     outcome = rng.normal(mean, np.exp(log_std))
@@ -78,8 +78,8 @@ def test_a_gaussian_covers_its_own_samples() -> None:
     assert found.coverage == pytest.approx({0.50: 0.50, 0.90: 0.90, 0.95: 0.95}, abs=0.01)
 
 
-def test_a_gaussian_too_sure_covers_less() -> None:
-    """With half the true deviation the 95 % interval holds what one of 0.98 sigma holds: 67 %."""
+def test_an_overconfident_gaussian_covers_less() -> None:
+    """With half the true deviation, the 95 % interval covers as much as one of 0.98 sigma: 67 %."""
     rng = np.random.default_rng(4)
     zeros = np.zeros((20_000, 3), dtype=np.float32)
     outcome = rng.normal(0.0, 2.0, zeros.shape).astype(np.float32)
@@ -88,7 +88,7 @@ def test_a_gaussian_too_sure_covers_less() -> None:
 
 
 def test_padding_is_left_out_of_every_measure() -> None:
-    """Whatever stands in padded rows, the figures are those of the pushes that are there."""
+    """Values in padded rows do not change any measure, and count as soon as the rows are marked valid."""
     torch.manual_seed(5)
     network, rng = PushNetwork(METHODS["FCN + CM"], PUSH_SHAPES[ContextKind.INDICATOR]), np.random.default_rng(6)
     pushers, outcomes = rng.normal(0.0, 0.05, (2, 2, 4, 3)).astype(np.float32)
@@ -102,8 +102,8 @@ def test_padding_is_left_out_of_every_measure() -> None:
     assert counted.rmse > 10.0 * found.rmse
 
 
-def test_a_network_is_measured_on_what_it_predicts() -> None:
-    """A network whose output is its last bias is right about outcomes at that bias and wrong elsewhere by the rest."""
+def test_a_network_is_measured_on_its_predictions() -> None:
+    """The errors of a network with constant output are the distances of the outcomes from that output."""
     network = PushNetwork(METHODS["FCN"], PUSH_SHAPES[ContextKind.INDICATOR])
     with torch.no_grad():
         network.last.weight.zero_()
@@ -119,7 +119,7 @@ def test_a_network_is_measured_on_what_it_predicts() -> None:
 
 
 def test_a_visual_network_is_measured_as_it_is_served() -> None:
-    """With the batch norms' record, whatever else is in the batch; a network in training goes on training."""
+    """A visual network is measured with the batch norms' record, and stays in training mode afterwards."""
     torch.manual_seed(5)
     network = PushNetwork(METHODS["FCN + CM"], PUSH_SHAPES[ContextKind.VISUAL])
     views = torch.rand(4, 1, 32, 32)
@@ -134,8 +134,8 @@ def test_a_visual_network_is_measured_as_it_is_served() -> None:
     assert together.rmse**2 == pytest.approx(np.mean([found.rmse**2 for found in alone]), rel=1e-5)
 
 
-def test_a_regression_of_one_output_is_measured_too() -> None:
-    """The paper's Gaussian processes have one value per sample, and it is its own unit."""
+def test_a_regression_of_one_output_is_measured() -> None:
+    """Samples of one output per push, as in the paper's Gaussian processes, are measured in its unit."""
     found = measure(MEAN[:, :1], LOG_STD[:, :1], OUTCOME[:, :1], (1.0,))
 
     assert found.rmse == pytest.approx(math.sqrt(0.5))

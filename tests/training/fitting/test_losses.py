@@ -1,4 +1,4 @@
-"""The Siamese objective against its formulas, written out by hand."""
+"""Losses: the Siamese objective and the divergence against their formulas, written out by hand."""
 
 import math
 
@@ -15,14 +15,14 @@ from training.networks.encoders import EuclideanDistance, KernelDistance
 ALL_VALID = torch.ones(2, 3)
 
 
-def random(*shape: int, seed: int) -> Tensor:
-    """Normal numbers, the same for the same seed."""
+def normals(*shape: int, seed: int) -> Tensor:
+    """Draw normal numbers, the same for the same seed."""
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed))
 
 
 def test_the_likelihood_is_the_normal_density() -> None:
-    """It is minus the log of N(target; mean, std), averaged over pushes and outputs."""
-    mean, log_std, target = (random(2, 3, 3, seed=seed) for seed in (1, 2, 3))
+    """The likelihood loss is minus the log of N(target | mean, std), averaged over pushes and outputs."""
+    mean, log_std, target = (normals(2, 3, 3, seed=seed) for seed in (1, 2, 3))
     std = np.exp(array_of(log_std))
     density = np.exp(-0.5 * ((array_of(target) - array_of(mean)) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
 
@@ -31,15 +31,15 @@ def test_the_likelihood_is_the_normal_density() -> None:
 
 
 def test_a_perfect_guess_of_unit_spread_costs_half_the_log_of_two_pi() -> None:
-    """The constant of the density is not left out, so that figures compare with those of other code."""
+    """The density's constant, 0.5 log(2 pi), is part of the loss, so that figures compare with those of other code."""
     zeros = torch.zeros(2, 3, 3)
 
     assert gaussian_nll(zeros, zeros, zeros, ALL_VALID).item() == pytest.approx(0.9189385, abs=1e-6)
 
 
 def test_padding_does_not_count() -> None:
-    """Neither values nor number of padded rows change the average over the pushes that are there."""
-    mean, log_std, target = (random(2, 3, 3, seed=seed) for seed in (1, 2, 3))
+    """Neither values nor number of padded rows change the average over valid pushes."""
+    mean, log_std, target = (normals(2, 3, 3, seed=seed) for seed in (1, 2, 3))
     valid = torch.tensor([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     present = valid > 0
 
@@ -51,9 +51,9 @@ def test_padding_does_not_count() -> None:
 
 
 def contexts(kind: str, objects: int) -> Tensor:
-    """Vectors or images."""
+    """Draw context vectors or images."""
     shape = (objects, 36) if kind == "indicator" else (objects, 1, 32, 32)
-    return random(*shape, seed=5).sigmoid()
+    return normals(*shape, seed=5).sigmoid()
 
 
 PAIRS = [
@@ -68,8 +68,8 @@ PAIRS = [
 def test_the_l2_regulariser_compares_the_halves_of_a_batch(
     kind: str, objects: int, pairs: list[tuple[int, int]]
 ) -> None:
-    """Object i of the first half is paired with object i of the second, as in the formula, contexts vectorised."""
-    mask, context = random(objects, 256, seed=4).relu(), contexts(kind, objects)
+    """The L2 regulariser pairs object i of the first half with object i of the second, contexts vectorised."""
+    mask, context = normals(objects, 256, seed=4).relu(), contexts(kind, objects)
     m, c = array_of(mask), array_of(context).reshape(objects, -1)
     terms = [
         0.5 * (math.sqrt(((m[i] - m[j]) ** 2).sum()) - 3.0 * math.sqrt(((c[i] - c[j]) ** 2).sum())) ** 2
@@ -83,8 +83,8 @@ def test_the_l2_regulariser_compares_the_halves_of_a_batch(
 @pytest.mark.parametrize("kind", ["indicator", "visual"])
 @pytest.mark.parametrize(("objects", "pairs"), PAIRS)
 def test_the_neural_regulariser_is_the_paper_s(kind: str, objects: int, pairs: list[tuple[int, int]]) -> None:
-    """The same with the inner product of the embeddings for a distance."""
-    mask, context = random(objects, 256, seed=4).relu(), contexts(kind, objects)
+    """The neural regulariser takes the inner product of the embeddings as distance."""
+    mask, context = normals(objects, 256, seed=4).relu(), contexts(kind, objects)
     torch.manual_seed(6)
     distance = KernelDistance(tuple(context.shape[1:]))
     weights = {f"distance.{name}": value for name, value in distance.state_dict().items()}
@@ -95,9 +95,9 @@ def test_the_neural_regulariser_is_the_paper_s(kind: str, objects: int, pairs: l
     assert found.item() == pytest.approx(by_hand.regulariser(array_of(mask), products, 0.5, 1.0), rel=1e-5)
 
 
-def test_the_neural_regulariser_teaches_mask_and_embedding() -> None:
-    """The embedding is learnt along: its weights have a slope, and so has the mask."""
-    mask, context = random(4, 256, seed=4).relu().requires_grad_(), contexts("indicator", 4)
+def test_the_neural_regulariser_trains_mask_and_embedding() -> None:
+    """The neural regulariser has non-zero gradients for the mask and for the weights of the embedding."""
+    mask, context = normals(4, 256, seed=4).relu().requires_grad_(), contexts("indicator", 4)
     distance = KernelDistance((36,))
 
     torch.autograd.backward(context_regulariser(mask, context, distance, 0.01, 1.0))
@@ -107,30 +107,32 @@ def test_the_neural_regulariser_teaches_mask_and_embedding() -> None:
         assert tensor.grad.abs().max() > 0.0
 
 
-def test_masks_as_far_apart_as_their_contexts_cost_nothing() -> None:
-    """The regulariser asks that distances agree, up to lambda_2."""
-    context = random(4, 36, seed=6)
+def test_masks_as_far_apart_as_their_contexts_have_no_loss() -> None:
+    """The regulariser is zero where mask distances are lambda_2 times the context distances."""
+    context = normals(4, 36, seed=6)
 
     found = context_regulariser(2.0 * context, context, EuclideanDistance(), lambda_1=1.0, lambda_2=2.0)
     assert found.item() == pytest.approx(0.0, abs=1e-10)
 
 
 def test_a_single_object_has_no_partner() -> None:
-    """Its regulariser is zero, not a number that is none."""
-    assert context_regulariser(random(1, 256, seed=7), random(1, 36, seed=8), EuclideanDistance(), 1.0, 1.0).item() == 0
+    """The regulariser of a batch with a single object is zero."""
+    assert (
+        context_regulariser(normals(1, 256, seed=7), normals(1, 36, seed=8), EuclideanDistance(), 1.0, 1.0).item() == 0
+    )
 
 
 @pytest.mark.parametrize("same", [False, True], ids=["two masks", "one mask twice"])
 def test_gradients_are_finite(same: bool) -> None:
-    """Also where a distance is zero and its root has no slope: equal masks of equal objects meet in real batches."""
-    mask, context = random(4, 256, seed=9), random(4, 36, seed=10)
+    """Gradients are finite even at distance zero: equal masks of equal objects occur in real batches."""
+    mask, context = normals(4, 256, seed=9), normals(4, 36, seed=10)
     if same:
         mask, context = mask[:1].expand(4, 256).clone(), context[:1].expand(4, 36)
-    mean, log_std, mask = random(4, 3, 3, seed=1), random(4, 3, 3, seed=2), mask.requires_grad_()
+    mean, log_std, mask = normals(4, 3, 3, seed=1), normals(4, 3, 3, seed=2), mask.requires_grad_()
     for tensor in (mean, log_std):
         tensor.requires_grad_()
 
-    loss = gaussian_nll(mean, log_std, random(4, 3, 3, seed=3), torch.ones(4, 3))
+    loss = gaussian_nll(mean, log_std, normals(4, 3, 3, seed=3), torch.ones(4, 3))
     torch.autograd.backward(loss + context_regulariser(mask, context, EuclideanDistance(), 0.01, 10.0))
 
     for tensor in (mean, log_std, mask):
@@ -139,7 +141,7 @@ def test_gradients_are_finite(same: bool) -> None:
 
 
 def test_a_divergence_is_the_integral_that_defines_it() -> None:
-    """KL(q | p) is the mean of log q - log p under q: compared with a fine sum, one axis at a time."""
+    """The divergence KL(q, p) is the mean of log q - log p under q, compared with a fine sum per axis."""
     z = np.linspace(-30.0, 30.0, 200_001)
     expected = 0.0
     for mean, std, prior_mean, prior_std in ((0.3, 0.5, -0.2, 0.9), (-1.0, 1.5, 0.4, 0.6)):
@@ -156,7 +158,7 @@ def test_a_divergence_is_the_integral_that_defines_it() -> None:
 
 
 def test_a_gaussian_does_not_diverge_from_itself() -> None:
-    """It costs nothing to be the prior."""
-    mean, std = random(3, 128, seed=1), random(3, 128, seed=2).exp()
+    """The divergence of a Gaussian from itself is zero."""
+    mean, std = normals(3, 128, seed=1), normals(3, 128, seed=2).exp()
 
     assert gaussian_divergence(mean, std, mean, std).tolist() == pytest.approx([0.0] * 3, abs=1e-4)

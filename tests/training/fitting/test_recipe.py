@@ -1,4 +1,4 @@
-"""Recipes: those that ship, and the field that each bad one is refused for."""
+"""Recipes: those that ship with the trainer, and the field that is named when a recipe is refused."""
 
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -16,19 +16,19 @@ SERVED = ["push-indicator", "push-none", "push-visual"]
 
 
 def toml_of(values: dict[str, object]) -> str:
-    """A recipe file of these fields."""
+    """Render a recipe file of these fields."""
     texts = {key: str(value).lower() if isinstance(value, bool) else repr(value) for key, value in values.items()}
     return "".join(f"{key} = {text}\n" for key, text in texts.items())
 
 
 def test_four_recipes_ship() -> None:
-    """The paper's, and one for each kind of context."""
+    """The paper's recipe and one recipe for each kind of context ship with the trainer."""
     assert recipe_names() == ["paper", *SERVED]
 
 
 @pytest.mark.parametrize("name", SERVED)
-def test_a_served_recipe_is_the_paper_s_method_on_all_that_physics_promises(name: str) -> None:
-    """Named as its model, measured on objects held out, with symmetric scenes, misses and an angle without a seam."""
+def test_a_served_recipe_augments_the_paper_s_method(name: str) -> None:
+    """A served recipe has its model's name, held-out objects, symmetries, misses and a circular angle."""
     found = read_recipe(name)
 
     assert found.name == name
@@ -41,7 +41,7 @@ def test_a_served_recipe_is_the_paper_s_method_on_all_that_physics_promises(name
 
 
 def test_the_paper_s_recipe_is_a_row_of_its_tables() -> None:
-    """3000 epochs of Adam at 0.002, 64 objects a batch, lambda_1 0.01, lambda_2 10: as ``reproduce`` trains it."""
+    """The recipe ``paper`` equals the one that ``reproduce`` trains: 3000 epochs, 64 objects, lambdas 0.01 and 10."""
     found = read_recipe("paper")
     row = experiments()["different-objects"].recipe(Cell("different-objects", found.method, "indicator"), seed=0)
 
@@ -51,12 +51,12 @@ def test_the_paper_s_recipe_is_a_row_of_its_tables() -> None:
 
 
 def test_a_record_reads_back_as_the_recipe(recipe: Recipe) -> None:
-    """What a run writes down of its recipe is the recipe."""
+    """Parsing the record of a recipe gives the recipe."""
     assert parse_recipe_record(dict(recipe.record()), "a record") == recipe
 
 
 def test_a_recipe_file_is_read_by_path(recipe: Recipe, tmp_path: Path) -> None:
-    """Any TOML file with the fields of a recipe is one."""
+    """Any TOML file with the fields of a recipe is read by its path."""
     path = tmp_path / "mine.toml"
     path.write_text(toml_of(asdict(replace(recipe, name="mine"))), encoding="utf-8")
 
@@ -73,10 +73,8 @@ BEYOND_PAPER = {
 
 
 @pytest.mark.parametrize(("field", "value"), BEYOND_PAPER.items())
-def test_what_goes_beyond_the_paper_is_optional_and_recorded_where_it_is_used(
-    recipe: Recipe, field: str, value: object
-) -> None:
-    """A recipe without the field is the paper's, and its record is what it was before there was such a field."""
+def test_fields_beyond_the_paper_are_optional_and_recorded_if_used(recipe: Recipe, field: str, value: object) -> None:
+    """A recipe without an optional field is the paper's, and its record omits the field."""
     assert field not in recipe.record()
     better = parse_recipe_record({**recipe.record(), field: value}, "here")
 
@@ -85,13 +83,13 @@ def test_what_goes_beyond_the_paper_is_optional_and_recorded_where_it_is_used(
 
 
 def test_every_optional_field_is_tested() -> None:
-    """The fields above are all that have a default."""
+    """``BEYOND_PAPER`` lists all fields that have a default."""
     assert set(asdict(read_recipe("paper"))) - set(read_recipe("paper").record()) == set(BEYOND_PAPER)
 
 
 @pytest.mark.parametrize("field", [name for name in Recipe.__dataclass_fields__ if name not in BEYOND_PAPER])
 def test_every_field_of_the_paper_is_required_and_named_when_missing(recipe: Recipe, field: str) -> None:
-    """None of them has a default: a recipe is whole."""
+    """A recipe without one of the paper's fields is refused by the name of that field."""
     values = asdict(recipe)
     del values[field]
 
@@ -100,7 +98,7 @@ def test_every_field_of_the_paper_is_required_and_named_when_missing(recipe: Rec
 
 
 def test_an_unknown_field_is_named(recipe: Recipe) -> None:
-    """A misspelt field is not quietly ignored."""
+    """A recipe with a misspelt field is refused by the name of that field."""
     with pytest.raises(DataError, match="here: missing or unknown: momentum;"):
         parse_recipe(toml_of({**asdict(recipe), "momentum": 0.9}), "here")
 
@@ -118,7 +116,7 @@ def test_an_unknown_field_is_named(recipe: Recipe) -> None:
     ],
 )
 def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, expected: str) -> None:
-    """The message has the field, what it is, and the type that is expected."""
+    """A field of a wrong type is refused with its name, its value and the expected type."""
     with pytest.raises(DataError) as caught:
         parse_recipe_record({**asdict(recipe), field: value}, "here")
 
@@ -141,7 +139,7 @@ def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, ex
         pytest.param("learning_rate", float("inf"), id="an infinite learning rate"),
         pytest.param("lambda_1", float("nan"), id="a lambda that is no number"),
         pytest.param("angle", "square", id="an unknown angle"),
-        pytest.param("no_contact", 1.0, id="nothing but misses"),
+        pytest.param("no_contact", 1.0, id="no pushes with contact"),
         pytest.param("least_std", float("inf"), id="an infinite std"),
         pytest.param("cooling_epochs", 4, id="more cooling than epochs"),
         pytest.param("seed", -1, id="a negative seed, which no generator takes"),
@@ -149,7 +147,7 @@ def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, ex
     ],
 )
 def test_an_impossible_field_is_named(recipe: Recipe, field: str, value: object) -> None:
-    """What cannot be trained or published is refused before hours of training, by field and value."""
+    """A value that cannot be trained or published is refused before the training, by field and value."""
     with pytest.raises(DataError) as caught:
         parse_recipe_record({**asdict(recipe), field: value}, "here")
 
@@ -158,14 +156,14 @@ def test_an_impossible_field_is_named(recipe: Recipe, field: str, value: object)
 
 
 @pytest.mark.parametrize("method", ["FCN", "ANP"])
-def test_a_method_without_use_for_a_context_has_none(recipe: Recipe, method: str) -> None:
-    """The message says which contexts the paper has it with."""
+def test_a_method_without_context_takes_kind_none_only(recipe: Recipe, method: str) -> None:
+    """A method without use for a context is refused with one, and the message lists its kinds of context."""
     with pytest.raises(DataError, match=rf"context is 'indicator'; expected none with {method}"):
         parse_recipe_record({**asdict(recipe), "method": method}, "here")
 
 
 def test_a_recipe_for_serving_trains_on_all_objects(recipe: Recipe) -> None:
-    """All 250, and none is left to hold out."""
+    """The set-up ``all-objects`` trains on all 250 objects and holds none out."""
     split = parse_recipe_record({**asdict(recipe), "set_up": "all-objects"}, "here").split()
 
     assert (split.name, len(split.train), split.test) == ("all-objects", 250, ())
@@ -173,12 +171,12 @@ def test_a_recipe_for_serving_trains_on_all_objects(recipe: Recipe) -> None:
 
 @pytest.mark.parametrize("set_up", ["different-surfaces", *(f"different-weights-{count}" for count in (0, 1, 2))])
 def test_every_set_up_of_the_paper_can_be_named(recipe: Recipe, set_up: str) -> None:
-    """Its split carries its name."""
+    """The split of each of the paper's set-ups carries the set-up's name."""
     assert parse_recipe_record({**asdict(recipe), "set_up": set_up}, "here").split().name == set_up
 
 
 def test_a_file_that_is_not_toml_is_refused() -> None:
-    """The message says where and passes on what the parser found."""
+    """Text that is not TOML is refused with its place and the parser's message."""
     with pytest.raises(DataError, match="here: not TOML: "):
         parse_recipe("epochs: 3", "here")
 
@@ -189,6 +187,6 @@ def test_a_file_that_is_not_toml_is_refused() -> None:
     ids=["unknown", "no such file", "not a name", "empty"],
 )
 def test_an_unknown_recipe_lists_those_that_exist(name: str) -> None:
-    """The message has every name that would have worked."""
+    """The error for an unknown recipe lists the name of every recipe that ships."""
     with pytest.raises(DataError, match=r"paper, push-indicator, push-none, push-visual or a \.toml file"):
         read_recipe(name)

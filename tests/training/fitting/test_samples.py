@@ -1,4 +1,4 @@
-"""From pushes to what the networks take: normalised, by object, with the contexts of a kind."""
+"""Samples: pushes normalised by object, with the contexts of a kind, and the data of a run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +24,7 @@ def pushes(data_folder: Path) -> Pushes:
 
 
 def test_pushes_are_normalised_with_the_published_statistics() -> None:
-    """A pose at the mean becomes zeros, one a deviation away becomes ones; padding passes as it is."""
+    """A pose at the published mean becomes zeros, and one a deviation away becomes ones. Padding is kept."""
     known = published_normalisation()
     pushers = np.array([[known.input_mean, known.input_mean + known.input_std]], dtype=np.float32)
     outcomes = np.array([[known.output_mean - known.output_std, known.output_mean]], dtype=np.float32)
@@ -40,8 +40,8 @@ def test_pushes_are_normalised_with_the_published_statistics() -> None:
     assert {tensor.dtype for tensor in tensors} == {torch.float32}
 
 
-def test_contexts_are_of_the_kind_that_is_asked_for(viewed_pushes: Pushes) -> None:
-    """Nothing, 36 zeros and ones, or a view in 0..1 with the very numbers that the service gives its models."""
+def test_contexts_are_of_the_given_kind(viewed_pushes: Pushes) -> None:
+    """Contexts are empty, 36 indicator values, or a view in 0..1 with the numbers that the service feeds its models."""
     assert viewed_pushes.views is not None
     assert contexts(viewed_pushes, ContextKind.NONE).shape == (250, 0)
     assert (contexts(viewed_pushes, ContextKind.INDICATOR) == viewed_pushes.indicators).all()
@@ -50,13 +50,13 @@ def test_contexts_are_of_the_kind_that_is_asked_for(viewed_pushes: Pushes) -> No
 
 
 def test_visual_contexts_need_views(pushes: Pushes) -> None:
-    """Pushes that were read without them say so."""
+    """Visual contexts of pushes that were read without views are refused."""
     with pytest.raises(DataError, match="read without top-down views"):
         contexts(pushes, ContextKind.VISUAL)
 
 
-def test_a_selection_keeps_the_order_asked_for(viewed_pushes: Pushes) -> None:
-    """Every tensor is selected alike."""
+def test_a_selection_keeps_its_order(viewed_pushes: Pushes) -> None:
+    """Selecting objects takes the same rows, in the given order, of every tensor."""
     samples = Samples.of(viewed_pushes, ContextKind.VISUAL)
     found = samples.select(torch.tensor([7, 3]))
 
@@ -67,7 +67,7 @@ def test_a_selection_keeps_the_order_asked_for(viewed_pushes: Pushes) -> None:
 
 
 def test_samples_taken_singly_keep_their_contexts() -> None:
-    """Each is an object of its own, in order; padding is not one."""
+    """Single samples become objects of their own, in order and without padding, with their object's context."""
     numbers = torch.arange(6.0).reshape(2, 3)
     valid = torch.tensor([[1.0, 1.0, 1.0], [1.0, 0.0, 1.0]])
     context = torch.tensor([[7.0], [8.0]])
@@ -81,7 +81,7 @@ def test_samples_taken_singly_keep_their_contexts() -> None:
 
 
 def test_training_data_are_the_split_s(pushes: Pushes) -> None:
-    """200 objects to fit, 50 others to measure, and where they come from."""
+    """Training data are the split's 200 and 50 objects, with source and digest of the pushes."""
     data = TrainingData.of(different_objects(), ContextKind.INDICATOR, pushes)
 
     assert (len(data.train.context), len(data.held_out.context)) == (200, 50)
@@ -90,14 +90,14 @@ def test_training_data_are_the_split_s(pushes: Pushes) -> None:
 
 
 def write_pushes(folder: Path, descriptors: tuple[str, ...], x_m: float) -> None:
-    """Objects whose pushes all move them by this."""
+    """Write objects whose pushes all move them by ``x_m``."""
     declare_dataset(folder, {"source": f"pushes of a test, {folder.name}"})
     for descriptor in descriptors:
         write_object(folder, descriptor, np.full((2, 3), 0.05), np.full((2, 3), x_m))
 
 
 def test_another_surface_is_read_from_the_folder_beside(tmp_path: Path) -> None:
-    """The objects to train on come from one folder, those held out from its sibling, and the record names both."""
+    """Held-out objects on another surface are read from the sibling folder, and the record names both folders."""
     split = Split("a test", ("1a1a1a1a", "1a1a1a2a"), ("1a1a1a2a",), test_surface="plywood")
     write_pushes(tmp_path / "abs", split.train, 0.01)
     write_pushes(tmp_path / "plywood", split.test, 0.03)
@@ -114,7 +114,7 @@ def test_another_surface_is_read_from_the_folder_beside(tmp_path: Path) -> None:
 
 
 def test_a_missing_surface_is_named(tmp_path: Path) -> None:
-    """Before any training, with the folder that was looked for."""
+    """A missing folder of the other surface is named before any training."""
     split = Split("a test", ("1a1a1a1a",), ("1a1a1a1a",), test_surface="plywood")
     write_pushes(tmp_path / "abs", split.train, 0.01)
 
@@ -122,8 +122,8 @@ def test_a_missing_surface_is_named(tmp_path: Path) -> None:
         read_training_data(split, ContextKind.INDICATOR, tmp_path / "abs")
 
 
-def test_views_are_read_from_the_folder_beside_or_the_one_named(tmp_path: Path) -> None:
-    """Drawn views of the objects that were pushed; the digest covers them, so other views are other data."""
+def test_views_are_read_from_the_folder_beside_or_a_given_one(tmp_path: Path) -> None:
+    """Views are read for the pushed objects and enter the digest, so that other views are other data."""
     write_pushes(tmp_path / "abs", ("1a1a1a1a", "1b1a1a3a"), 0.01)
     write_views(tmp_path / "top-down_view", ("1a1a1a1a", "1b1a1a3a"), quiet=True)
     write_views(tmp_path / "camera", ("1a1a1a1a", "1b1a1a3a"), camera=True, quiet=True)
@@ -139,7 +139,7 @@ def test_views_are_read_from_the_folder_beside_or_the_one_named(tmp_path: Path) 
 
 
 def test_selecting_objects_selects_their_views(viewed_pushes: Pushes) -> None:
-    """Views stay with their objects, and the digest with the folder."""
+    """Selecting objects selects their views and keeps the digest, and other views give another digest."""
     assert viewed_pushes.views is not None
     names = (viewed_pushes.descriptors[9], viewed_pushes.descriptors[2])
     found = viewed_pushes.select(names)
