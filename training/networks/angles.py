@@ -1,4 +1,4 @@
-"""Directions as networks meet them: wrapped into one turn, or as a point of the unit circle, which has no seam."""
+"""Angles as inputs and outputs of networks: wrapped to (-pi, pi], or as cosine and sine, which do not jump at pi."""
 
 import math
 
@@ -9,15 +9,15 @@ from training.omnipush.published import published_normalisation
 
 
 def wrapped(angle_rad: Tensor) -> Tensor:
-    """The same directions in (-pi, pi]."""
+    """Wrap angles to (-pi, pi]: the torch form of ``service.pushing.poses.wrap_angles``, which exports to ONNX."""
     return angle_rad - 2.0 * math.pi * torch.ceil((angle_rad - math.pi) / (2.0 * math.pi))
 
 
 def circular(pusher: Tensor) -> Tensor:
-    """Normalised pusher poses (..., 3) with cosine and sine of their angle in its place, (..., 4).
+    """Replace the angle of normalised pusher poses (..., 3) by its cosine and sine, (..., 4).
 
-    The paper feeds the normalised angle, whose jump from pi to -pi is none in the world: a network has to learn on
-    either side of it what the other side already shows.
+    The paper feeds the normalised angle. It jumps from pi to -pi where the world does not, so a network has to learn
+    the same outcomes twice, once on either side of the jump.
     """
     known = published_normalisation()
     position, angle = torch.split(pusher, [2, 1], dim=-1)

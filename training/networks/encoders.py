@@ -1,6 +1,6 @@
-"""What is learnt of a context alone: its encoding for the first layer, and the distances of the context regulariser.
+"""Context encoders for the first layer, and context distances for the regulariser.
 
-Everything here runs once per object, never once per push.
+All of them run once per object, never once per push.
 """
 
 from typing import Final
@@ -18,15 +18,16 @@ KERNEL_VISUAL: Final = 10  # phi of a visual context
 
 
 def context_encoder(context_shape: tuple[int, ...], width: int) -> nn.Module:
-    """From contexts (objects, *context_shape) to (objects, width): one dense layer, or the visual encoder."""
+    """Return the encoder of contexts (objects, *context_shape) to (objects, width): a dense layer or visual encoder."""
     return nn.Linear(context_shape[0], width) if len(context_shape) == 1 else VisualEncoder(width)
 
 
 class VisualEncoder(nn.Module):
-    """Two times (conv 3x3, batch norm, ReLU, max-pool 2), then a dense layer: (objects, 1, 32, 32) to (objects, width).
+    """Encoder of views (objects, 1, 32, 32): two times (conv 3x3, batch norm, ReLU, max-pool 2), then a dense layer.
 
-    Batch norm counts each object once; the published loop, which repeats the context for every push, finds the same
-    mean and variance. (The ReLU between pooling and dense layer, in the published list, changes nothing after a ReLU.)
+    Batch norm counts each object once. The published loop repeats the context for every push and finds the same mean
+    and variance. The published list has another ReLU between pooling and dense layer, which a ReLU before it makes
+    redundant.
     """
 
     def __init__(self, width: int) -> None:
@@ -35,7 +36,7 @@ class VisualEncoder(nn.Module):
         self.dense = nn.Linear(CHANNELS * (VISUAL_SIZE // 4) ** 2, width)
 
     def forward(self, context: Tensor) -> Tensor:
-        """Encode views in 0..1."""
+        """Encode views in 0..1 as (objects, width)."""
         encoded: Tensor = self.dense(self.convolutions(context).flatten(1))
         return encoded
 
@@ -45,16 +46,19 @@ def _convolution(channels: int) -> tuple[nn.Module, ...]:
 
 
 class EuclideanDistance(nn.Module):
-    """``d(c, c') = |c - c'|`` of the vectorised contexts."""
+    """Euclidean distance ``d(c, c') = |c - c'|`` of the vectorised contexts."""
 
     def forward(self, first: Tensor, second: Tensor) -> Tensor:
-        """Distances (pairs,) of contexts (pairs, ...)."""
+        """Compute the distances (pairs,) of contexts (pairs, ...)."""
         distance: Tensor = torch.linalg.vector_norm((first - second).flatten(1), dim=-1)
         return distance
 
 
 class KernelDistance(nn.Module):
-    """``d(c, c') = phi(c) . phi(c')``; phi is ``W2 max(0, W1 x)``, of an image ``W avg-pool(max(0, conv(x)))``."""
+    """Kernel distance ``d(c, c') = phi(c) . phi(c')``.
+
+    phi is ``W2 max(0, W1 x)`` of a vector and ``W avg-pool(max(0, conv(x)))`` of an image.
+    """
 
     def __init__(self, context_shape: tuple[int, ...]) -> None:
         super().__init__()
@@ -76,13 +80,13 @@ class KernelDistance(nn.Module):
         self.phi = nn.Sequential(*layers)
 
     def forward(self, first: Tensor, second: Tensor) -> Tensor:
-        """Inner products (pairs,) of the embeddings of contexts (pairs, ...)."""
+        """Compute the inner products (pairs,) of the embeddings of contexts (pairs, ...)."""
         product: Tensor = (self.phi(first) * self.phi(second)).sum(dim=-1)
         return product
 
 
 def context_distance(distance: ContextDistance, context_shape: tuple[int, ...]) -> nn.Module | None:
-    """The distance of a method's regulariser, None where it has no regulariser."""
+    """Return the distance of a method's regulariser, None for methods without one."""
     if distance is ContextDistance.KERNEL:
         return KernelDistance(context_shape)
     return EuclideanDistance() if distance is ContextDistance.EUCLIDEAN else None

@@ -1,4 +1,4 @@
-"""The rows of the paper's tables, under the paper's names: what each method does with the context of an object."""
+"""Methods: the rows of the paper's tables, under the paper's names, and how each uses the context of an object."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -8,32 +8,32 @@ from service.model.tensors import ContextKind
 
 
 class ContextUse(StrEnum):
-    """Where the context enters a network (paper section III and section IV, the list of competing methods)."""
+    """Use of the context in a network (paper section III and section IV, the list of competing methods)."""
 
     NONE = "none"
-    CONCATENATED = "concatenated"  # CC: beside the input of the first layer
+    CONCATENATED = "concatenated"  # CC: concatenated with the input of the first layer
     MASKED = "masked"  # CM: a factor on each activation of the first layer
 
 
 class ContextDistance(StrEnum):
-    """The distance d between two contexts in the context regulariser."""
+    """Distance d between two contexts in the context regulariser."""
 
     NONE = "none"
     EUCLIDEAN = "euclidean"  # L2Reg: |c - c'|
-    KERNEL = "kernel"  # NeuralReg: phi(c) . phi(c'), phi learnt along
+    KERNEL = "kernel"  # NeuralReg: phi(c) . phi(c') with a trained phi
 
 
 @dataclass(frozen=True)
 class Method:
-    """A row of the paper's tables."""
+    """Method: a row of the paper's tables."""
 
     name: str
     context_use: ContextUse = ContextUse.NONE
     distance: ContextDistance = ContextDistance.NONE
-    neural_process: bool = False  # learns from support pushes of the object, so it is never zero-shot and never served
+    neural_process: bool = False  # needs support pushes of the object: not zero-shot, and never served
 
     def takes(self, kind: str) -> bool:
-        """Whether the method is trained with contexts of this kind; those without use for one take ``none`` only."""
+        """Return whether the method is trained with contexts of this kind. Methods without a context take ``none``."""
         return (kind == ContextKind.NONE) == (self.context_use is ContextUse.NONE)
 
 

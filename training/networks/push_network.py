@@ -1,7 +1,7 @@
-"""The paper's fully-connected networks, written from its section III and the design's table.
+"""Push networks: the paper's fully-connected networks, written from its section III.
 
-Everything is normalised here (see ``published.Normalisation``); shapes are (objects, pushes, ...), since the context
-belongs to the object: it is encoded once per object and broadcast over its pushes, never once per push.
+All inputs and outputs are normalised (see ``published.Normalisation``). Shapes are (objects, pushes, ...): a context
+belongs to an object, so it is encoded once per object and broadcast over the object's pushes.
 """
 
 import math
@@ -17,17 +17,17 @@ from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
 from training.networks.angles import circular
 from training.networks.encoders import context_distance, context_encoder
 from training.networks.methods import ContextUse, Method
-from training.networks.mixed_precision import rounded_dense, rounded_first, rounded_last
+from training.networks.mixed_precision import mixed_dense, mixed_first, mixed_last
 
 WIDTH: Final = 256
 POSE: Final = 3
-# Far beyond any fitted value: it keeps std a positive, finite float32 whatever the input.
+# Far beyond any fitted value. It keeps std a positive, finite float32 for every input.
 LOG_STD_LIMIT: Final = 10.0
 
 
 @dataclass(frozen=True)
 class Shape:
-    """What goes into a network and what comes out."""
+    """Shape of a network: the sizes of its inputs and outputs."""
 
     context: tuple[int, ...]  # of one object
     inputs: int = POSE
@@ -42,12 +42,12 @@ PUSH_SHAPES: Final = {
 
 
 def bounded(log_std: Tensor) -> Tensor:
-    """Within the limits; for fitted networks only, since a bound has no slope by which training could come back."""
+    """Clamp a log std to the limits. Only for fitted networks: a clamped value has no gradient to train with."""
     return log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
 
 
 class Prediction(NamedTuple):
-    """A Gaussian per push and what the context of each object did to the first layer."""
+    """Prediction: a Gaussian per push, and the conditioning of the first layer by each object's context."""
 
     mean: Tensor  # (objects, pushes, outputs)
     log_std: Tensor  # (objects, pushes, outputs)
@@ -55,24 +55,24 @@ class Prediction(NamedTuple):
 
 
 class PushNetwork(nn.Module):
-    """Four dense layers from pusher pose to a Gaussian over the object's pose, the first conditioned by the context.
+    """Network of four dense layers, from pusher pose to a Gaussian over the object's pose, conditioned by the context.
 
     - FCN: ``g(x) = g4(g3(g2(g1(x))))``
     - FCN + CM: ``g(x, c) = g4(g3(g2(g1(x) * m(c))))`` with ``m(c) = ReLU(e(c))``
-    - FCN + CC: ``g1([x, c])``, of a visual context ``ReLU(W x + b + e(c))``
+    - FCN + CC: ``g1([x, c])``, for a visual context ``ReLU(W x + b + e(c))``
 
-    ``e`` is a dense layer of a vector and the visual encoder of an image. ``distance`` is the d of the context
-    regulariser, learnt along where it has parameters; predictions do not depend on it.
+    ``e`` is a dense layer for a vector and the visual encoder for an image. ``distance`` is the d of the context
+    regulariser. Its parameters, if any, are trained with the network, but predictions do not depend on it.
     """
 
     def __init__(self, method: Method, shape: Shape, circular_angle: bool = False, least_std: float = 0.0) -> None:
-        """``circular_angle`` and ``least_std`` (normalised units) go beyond the paper, see ``recipes.Recipe``."""
+        """Create fresh layers. ``circular_angle`` and ``least_std`` (normalised) aren't the paper's, see ``Recipe``."""
         super().__init__()
         self.use = method.context_use
         self.circular_angle = circular_angle
         self.least_std = least_std
         self.inputs = shape.inputs + circular_angle
-        # [x, c] through one layer, as the paper concatenates; only its share of x meets every push
+        # One layer takes [x, c], as the paper concatenates. Only its columns for x run once per push.
         joined = self.use is ContextUse.CONCATENATED and len(shape.context) == 1
         self.first = nn.Linear(self.inputs + (shape.context[0] if joined else 0), WIDTH)
         self.second = nn.Linear(WIDTH, WIDTH)
@@ -83,7 +83,7 @@ class PushNetwork(nn.Module):
         self.distance = context_distance(method.distance, shape.context)
 
     def conditioning(self, context: Tensor) -> Tensor | None:
-        """What the first layer takes of objects (objects, *context): their masks, or their shifts, (objects, 256)."""
+        """Compute the first layer's conditioning, masks or shifts (objects, 256), of contexts (objects, *context)."""
         if self.use is ContextUse.NONE:
             return None
         if self.context_encoder is None:
@@ -92,7 +92,7 @@ class PushNetwork(nn.Module):
         return torch.relu(encoded) if self.use is ContextUse.MASKED else encoded
 
     def gaussian(self, pusher: Tensor, conditioning: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Mean and log std (n, 3) of pusher poses (n, 3), each under its own row of conditioning (n, 256)."""
+        """Predict mean and log std (n, 3) of pusher poses (n, 3), each with its own row of conditioning (n, 256)."""
         pusher = circular(pusher) if self.circular_angle else pusher
         hidden = functional.linear(pusher, self.first.weight[:, : self.inputs], self.first.bias)
         if conditioning is not None and self.use is ContextUse.CONCATENATED:
@@ -103,20 +103,20 @@ class PushNetwork(nn.Module):
         return self._upper_layers(hidden)
 
     def push_parameters(self) -> list[nn.Parameter]:
-        """Those of the layers that every push goes through; the others meet contexts alone."""
+        """Return the parameters of the layers that take every push. The other layers take contexts."""
         return [value for layer in (self.first, self.second, self.third, self.last) for value in layer.parameters()]
 
     def forward(self, pusher: Tensor, context: Tensor) -> Prediction:
-        """Predict pushes (objects, pushes, 3) of objects with these contexts."""
+        """Predict pushes (objects, pushes, 3) of objects with contexts (objects, *context)."""
         conditioning = self.conditioning(context)
         return Prediction(*self.conditioned(pusher, conditioning), conditioning)
 
     def conditioned(
         self, pusher: Tensor, conditioning: Tensor | None, dtype: torch.dtype = torch.float32
     ) -> tuple[Tensor, Tensor]:
-        """Mean and log std of pushes (objects, pushes, 3) of objects with this conditioning (objects, 256).
+        """Predict mean and log std of pushes (objects, pushes, 3) of objects with this conditioning (objects, 256).
 
-        ``dtype`` is that of the products, see ``rounded``; what goes in and comes out is float32.
+        ``dtype`` is the type of the products, see ``mixed_precision``. Inputs and outputs are float32.
         """
         pusher = circular(pusher) if self.circular_angle else pusher
         weight: Tensor = self.first.weight[:, : self.inputs].T
@@ -124,29 +124,29 @@ class PushNetwork(nn.Module):
         if conditioning is None:
             weight, bias = weight.expand(len(pusher), -1, -1), bias.expand(len(pusher), -1)
         elif self.use is ContextUse.MASKED:
-            # ReLU(W x + b) * m = ReLU((m W) x + m b), since a mask is never negative: multiplied into the weights it
-            # costs a pass per object, multiplied onto the activations a pass per push
+            # A mask is never negative, so ReLU(W x + b) * m = ReLU((m W) x + m b). Masked weights cost one pass per
+            # object, masked activations would cost one pass per push.
             weight, bias = weight * conditioning[:, None, :], bias * conditioning
         else:
             weight, bias = weight.expand(len(pusher), -1, -1), bias + conditioning
         if dtype == torch.float32:
             return self._upper_layers(torch.relu_(torch.baddbmm(bias[:, None, :], pusher, weight)))
-        hidden = rounded_first(pusher, weight, bias[:, None, :], dtype).flatten(0, -2)
+        hidden = mixed_first(pusher, weight, bias[:, None, :], dtype).flatten(0, -2)
         for layer in (self.second, self.third):
-            hidden = rounded_dense(hidden, layer.weight, layer.bias)
-        out = rounded_last(hidden, self.last.weight, self.last.bias)
-        return self._halves(out.view(*pusher.shape[:-1], -1))
+            hidden = mixed_dense(hidden, layer.weight, layer.bias)
+        out = mixed_last(hidden, self.last.weight, self.last.bias)
+        return self._mean_and_log_std(out.view(*pusher.shape[:-1], -1))
 
     def _upper_layers(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
         for layer in (self.second, self.third):
             hidden = torch.relu(layer(hidden))
-        return self._halves(self.last(hidden))
+        return self._mean_and_log_std(self.last(hidden))
 
-    def _halves(self, out: Tensor) -> tuple[Tensor, Tensor]:
-        """Mean and log std of what the last layer gives."""
+    def _mean_and_log_std(self, out: Tensor) -> tuple[Tensor, Tensor]:
+        """Split the output of the last layer into mean and log std."""
         mean, log_std = out.chunk(2, dim=-1)
         log_std = log_std if self.training else bounded(log_std)
-        if self.least_std > 0.0:  # log(exp(s) + least), written so that it never overflows
+        if self.least_std > 0.0:  # log(exp(s) + least), in a form that does not overflow
             least = math.log(self.least_std)
             log_std = least + functional.softplus(log_std - least)
         return mean, log_std

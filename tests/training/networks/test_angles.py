@@ -1,4 +1,4 @@
-"""Directions: one turn, and no seam on the circle."""
+"""Angles: wrapped to one turn, and continuous as cosine and sine."""
 
 import math
 
@@ -14,14 +14,14 @@ from training.omnipush.published import published_normalisation
     [(0.0, 0.0), (math.pi, math.pi), (-math.pi, math.pi), (4.0, 4.0 - 2.0 * math.pi), (-11.0, 4.0 * math.pi - 11.0)],
 )
 def test_angles_are_wrapped_into_one_turn(angle: float, expected: float) -> None:
-    """In (-pi, pi], as the contract has them."""
+    """Angles are wrapped to (-pi, pi], and -pi becomes pi."""
     found = float(wrapped(torch.tensor(angle, dtype=torch.float64)))
 
     assert found == pytest.approx(expected)
 
 
 def test_a_circular_angle_is_its_cosine_and_sine() -> None:
-    """Of the angle in radians; the position stays normalised."""
+    """A circular pose has cosine and sine of the angle in radians, and its position stays normalised."""
     known = published_normalisation()
     angle_rad = torch.linspace(-math.pi, math.pi, 7)
     normalised = (angle_rad - float(known.input_mean[2])) / float(known.input_std[2])

@@ -1,22 +1,22 @@
-"""Attention: layers in a row are one, dropout takes a tenth and keeps the mean, shares keep the type of products.
+"""Attention: fused layers, padding, dropout, and the type of attention weights.
 
-That a whole pass is the equations is tested with the process, in ``test_neural_process``.
+``test_neural_process`` compares a whole forward pass with the equations.
 """
 
 import pytest
 import torch
 from torch import nn
 
-from training.networks.attention import Attention, Embedded, attended, dropout
+from training.networks.attention import Attention, Embedded, attend, dropout
 
 
 def points(inputs: int, seed: int = 3) -> torch.Tensor:
-    """Normal numbers for seven points of two objects."""
+    """Draw normal numbers for seven points of two objects."""
     return torch.randn(2, 7, inputs, generator=torch.Generator().manual_seed(seed))
 
 
-def test_points_behind_a_layer_attend_as_if_they_had_gone_through_it() -> None:
-    """Queries, keys and values alike; the gradient of the layer is the same too."""
+def test_embedded_points_attend_like_the_layer_s_outputs() -> None:
+    """Embedded queries, keys and values give the outputs and gradients of points that went through the layer."""
     torch.manual_seed(4)
     layer, attention, valid = nn.Linear(6, 128), Attention().eval(), torch.ones(2, 7)
     found, gradients = [], []
@@ -30,25 +30,25 @@ def test_points_behind_a_layer_attend_as_if_they_had_gone_through_it() -> None:
         assert torch.allclose(one, other, atol=1e-6)
 
 
-def test_what_is_not_valid_is_not_seen() -> None:
-    """Whatever stands there; an object without anything valid gets numbers all the same."""
+def test_padding_is_not_attended_to() -> None:
+    """Attention ignores values in padding, and an object without a valid point gets finite numbers."""
     query, key, value = torch.randn(3, 8, 5, 32, generator=torch.Generator().manual_seed(1))
     valid = torch.tensor([[1.0, 1.0, 0.0, 0.0, 0.0], [0.0] * 5])
-    found = attended(query, key, value, valid)
+    found = attend(query, key, value, valid)
     key[:4, 2:], value[:4, 2:] = 7.0, 9.0
-    other = attended(query, key, value, valid)
+    other = attend(query, key, value, valid)
 
     assert torch.equal(found[:4], other[:4])
     assert torch.isfinite(found).all()
 
 
-def test_shares_of_16_bit_products_stay_so_under_autocast() -> None:
-    """A softmax in float32 would widen the largest tensors of a step."""
+def test_attention_weights_stay_16_bit_under_autocast() -> None:
+    """Attention saves bfloat16 tensors only: a softmax in float32 would widen the largest tensors of a step."""
     query, key, value = (torch.randn(4, 5, 32).to(torch.bfloat16).requires_grad_() for _ in range(3))
     kept: list[torch.dtype] = []
 
     def keep(tensor: torch.Tensor) -> torch.Tensor:
-        """Note what is saved for the way back."""
+        """Record the type of a tensor that is saved for the backward pass."""
         kept.append(tensor.dtype)
         return tensor
 
@@ -56,13 +56,13 @@ def test_shares_of_16_bit_products_stay_so_under_autocast() -> None:
         torch.autocast("cpu", dtype=torch.bfloat16),
         torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor),
     ):
-        attended(query, key, value, torch.ones(1, 5))
+        attend(query, key, value, torch.ones(1, 5))
 
     assert set(kept) == {torch.bfloat16}
 
 
 def test_dropout_takes_a_tenth_and_keeps_the_mean() -> None:
-    """Of a million values, within four deviations of chance; any number of values, not only multiples of four."""
+    """Dropout drops a tenth of any number of values and keeps their mean, within four deviations of chance."""
     torch.manual_seed(6)
     found = dropout(torch.ones(1_000_001))
 
@@ -72,7 +72,7 @@ def test_dropout_takes_a_tenth_and_keeps_the_mean() -> None:
 
 
 def test_dropout_takes_neighbours_independently() -> None:
-    """The four that share one number too."""
+    """Dropout drops neighbours independently, even four that share one random number."""
     torch.manual_seed(7)
     gone = dropout(torch.ones(100_000, 4)) == 0.0
     for first in range(4):
@@ -82,7 +82,7 @@ def test_dropout_takes_neighbours_independently() -> None:
 
 
 def test_dropout_follows_torch_s_generator() -> None:
-    """So a run that is continued draws what it would have drawn."""
+    """Dropout repeats with the seed of torch's generator, so that a continued run draws the same numbers."""
     drawn = []
     for _ in range(2):
         torch.manual_seed(8)
@@ -92,8 +92,8 @@ def test_dropout_follows_torch_s_generator() -> None:
     assert not torch.equal(drawn[0], dropout(torch.ones(3, 50)))
 
 
-def test_only_training_drops() -> None:
-    """A fitted network says the same twice."""
+def test_dropout_runs_in_training_only() -> None:
+    """A fitted network gives the same output twice, and a network in training does not."""
     torch.manual_seed(9)
     attention, valid = Attention(), torch.ones(2, 7)
     found = [attention(points(128), points(128), points(128), valid) for _ in range(2)]

@@ -1,12 +1,12 @@
-"""The visual encoder as a layer of its own: batch norm that does not care how often a context is repeated."""
+"""The visual encoder as a layer of its own: its batch norm, in training and fitted."""
 
 import torch
 
 from training.networks.encoders import VisualEncoder
 
 
-def test_repeating_contexts_changes_nothing() -> None:
-    """The published loop encodes a copy per push; encoding each object once gives the same values in training."""
+def test_repeated_contexts_have_the_same_encoding() -> None:
+    """Encoding each object once gives the values of encoding a copy per push, as the published loop does."""
     torch.manual_seed(4)
     encoder, views = VisualEncoder(256), torch.rand(6, 1, 32, 32)
     with torch.no_grad():
@@ -17,7 +17,7 @@ def test_repeating_contexts_changes_nothing() -> None:
 
 
 def test_a_fitted_encoder_sees_each_view_alone() -> None:
-    """Served, the answer for an object does not depend on who else is asked about."""
+    """The encoding of a view by a fitted encoder does not depend on the other views of the batch."""
     torch.manual_seed(4)
     encoder, views = VisualEncoder(256), torch.rand(6, 1, 32, 32)
     encoder(views)

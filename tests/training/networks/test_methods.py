@@ -1,4 +1,4 @@
-"""The rows of the paper's tables, under the paper's names."""
+"""Methods: the rows of the paper's tables, under the paper's names."""
 
 import pytest
 
@@ -19,10 +19,10 @@ NONE, INDICATOR, VISUAL = ContextKind.NONE, ContextKind.INDICATOR, ContextKind.V
         ("FCN + CM + NeuralReg", ContextUse.MASKED, ContextDistance.KERNEL, [INDICATOR, VISUAL]),
     ],
 )
-def test_methods_say_what_they_do_with_the_context(
+def test_methods_declare_their_use_of_the_context(
     name: str, use: ContextUse, distance: ContextDistance, kinds: list[ContextKind]
 ) -> None:
-    """Each row has its use of the context, its regulariser, and the contexts that the paper tries it with."""
+    """Each method has the paper's use of the context, its regulariser and the kinds of context it is tried with."""
     method = METHODS[name]
 
     assert (method.name, method.context_use, method.distance) == (name, use, distance)
@@ -30,6 +30,6 @@ def test_methods_say_what_they_do_with_the_context(
 
 
 def test_there_are_the_paper_s_six_and_one_is_a_neural_process() -> None:
-    """In the order of the tables."""
+    """The paper has six methods in the order of its tables, and only ANP is a neural process."""
     assert list(METHODS) == ["ANP", "FCN", "FCN + CC", "FCN + CM", "FCN + CM + L2Reg", "FCN + CM + NeuralReg"]
     assert [name for name, method in METHODS.items() if method.neural_process] == ["ANP"]

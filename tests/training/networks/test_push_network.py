@@ -1,4 +1,4 @@
-"""The paper's networks: their size, their equations, and a context that is encoded once per object."""
+"""Push networks: their size, their equations, and a context that is encoded once per object."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ CONDITIONED = [cell for cell in CELLS if cell.values[1] is not NONE]
 
 
 def network_of(method: str, kind: ContextKind) -> PushNetwork:
-    """A network with known random weights, larger than fresh ones so that every term counts, as if it were fitted."""
+    """Build a network with fixed random weights, larger than fresh ones so that every term counts, as if fitted."""
     torch.manual_seed(11)
     network = PushNetwork(METHODS[method], PUSH_SHAPES[kind])
     with torch.no_grad():
@@ -47,13 +47,13 @@ def network_of(method: str, kind: ContextKind) -> PushNetwork:
     return network.eval()
 
 
-def some_pushers(objects: int, pushes: int) -> Tensor:
-    """Normalised pusher poses (objects, pushes, 3)."""
+def random_pushers(objects: int, pushes: int) -> Tensor:
+    """Draw normalised pusher poses (objects, pushes, 3)."""
     return torch.randn(objects, pushes, 3, generator=torch.Generator().manual_seed(1))
 
 
-def some_contexts(kind: ContextKind, objects: int) -> Tensor:
-    """Random zeros and ones, or grey levels."""
+def random_contexts(kind: ContextKind, objects: int) -> Tensor:
+    """Draw zeros and ones, or grey levels."""
     generator = torch.Generator().manual_seed(2)
     if kind is VISUAL:
         return torch.rand(objects, 1, 32, 32, generator=generator)
@@ -62,7 +62,7 @@ def some_contexts(kind: ContextKind, objects: int) -> Tensor:
 
 @pytest.mark.parametrize(("method", "kind", "parameters"), SIZES)
 def test_the_networks_have_the_paper_s_size(method: str, kind: ContextKind, parameters: int) -> None:
-    """Four dense layers of width 256, and what concatenation, mask, visual encoder and phi add to them."""
+    """Networks have four dense layers of width 256, plus concatenation, mask, visual encoder and phi."""
     network = PushNetwork(METHODS[method], PUSH_SHAPES[kind])
 
     assert sum(parameter.numel() for parameter in network.parameters()) == parameters
@@ -72,7 +72,11 @@ def test_the_networks_have_the_paper_s_size(method: str, kind: ContextKind, para
 @pytest.mark.parametrize(("method", "kind"), CELLS)
 def test_a_forward_pass_is_the_paper_s_equations(method: str, kind: ContextKind, fitted: bool) -> None:
     """Mean, log standard deviation and mask agree with the equations written out in numpy."""
-    network, pushers, contexts = network_of(method, kind).train(not fitted), some_pushers(6, 5), some_contexts(kind, 6)
+    network, pushers, contexts = (
+        network_of(method, kind).train(not fitted),
+        random_pushers(6, 5),
+        random_contexts(kind, 6),
+    )
     weights = {name: value.clone() for name, value in network.state_dict().items()}
     with torch.no_grad():
         mean, log_std, conditioning = network(pushers, contexts)
@@ -88,8 +92,8 @@ def test_a_forward_pass_is_the_paper_s_equations(method: str, kind: ContextKind,
 
 @pytest.mark.parametrize("kind", [INDICATOR, VISUAL])
 def test_the_kernel_distance_is_an_inner_product_of_embeddings(kind: ContextKind) -> None:
-    """d(c, c') = phi(c) . phi(c'), with phi as in the paper."""
-    network, contexts = network_of("FCN + CM + NeuralReg", kind), some_contexts(kind, 8)
+    """The kernel distance is d(c, c') = phi(c) . phi(c'), with phi as in the paper."""
+    network, contexts = network_of("FCN + CM + NeuralReg", kind), random_contexts(kind, 8)
     assert network.distance is not None
     with torch.no_grad():
         found = network.distance(contexts[:4], contexts[4:])
@@ -101,8 +105,8 @@ def test_the_kernel_distance_is_an_inner_product_of_embeddings(kind: ContextKind
 
 @pytest.mark.parametrize("kind", [INDICATOR, VISUAL])
 def test_the_euclidean_distance_is_of_vectorised_contexts(kind: ContextKind) -> None:
-    """d(c, c') = |c - c'|, of an image over all its pixels."""
-    network, contexts = network_of("FCN + CM + L2Reg", kind), some_contexts(kind, 8)
+    """The Euclidean distance is d(c, c') = |c - c'|, of an image over all its pixels."""
+    network, contexts = network_of("FCN + CM + L2Reg", kind), random_contexts(kind, 8)
     assert network.distance is not None
 
     difference = array_of(contexts[:4] - contexts[4:]).reshape(4, -1)
@@ -113,18 +117,18 @@ def test_the_euclidean_distance_is_of_vectorised_contexts(kind: ContextKind) -> 
 
 @pytest.mark.parametrize("method", ["FCN", "FCN + CC", "FCN + CM"])
 def test_methods_without_regulariser_have_no_distance(method: str) -> None:
-    """Nothing pulls at their encoding of the context."""
+    """Methods without a regulariser have no context distance."""
     assert network_of(method, NONE if method == "FCN" else INDICATOR).distance is None
 
 
 @pytest.mark.parametrize(("method", "kind"), CONDITIONED)
 def test_a_context_is_encoded_once_per_object(method: str, kind: ContextKind) -> None:
-    """One row per object, the same whatever the pushes and, once fitted, whoever else is in the batch."""
-    network, contexts = network_of(method, kind), some_contexts(kind, 4)
+    """The conditioning has one row per object, and depends neither on pushes nor, once fitted, on other objects."""
+    network, contexts = network_of(method, kind), random_contexts(kind, 4)
     with torch.no_grad():
-        found = network(some_pushers(4, 2), contexts).conditioning
-        other_pushes = network(-3.0 * some_pushers(4, 7), contexts).conditioning
-        alone = network(some_pushers(1, 2), contexts[2:3]).conditioning
+        found = network(random_pushers(4, 2), contexts).conditioning
+        other_pushes = network(-3.0 * random_pushers(4, 7), contexts).conditioning
+        alone = network(random_pushers(1, 2), contexts[2:3]).conditioning
 
     assert found.shape == (4, 256)
     assert torch.equal(found, other_pushes)
@@ -134,9 +138,9 @@ def test_a_context_is_encoded_once_per_object(method: str, kind: ContextKind) ->
 
 @pytest.mark.parametrize("kind", [INDICATOR, VISUAL])
 def test_a_mask_is_never_negative(kind: ContextKind) -> None:
-    """It is a rectified layer: some activations are switched off, some pass, none changes its sign."""
+    """A mask is the output of a ReLU: it has zeros and positive values, and no negative ones."""
     with torch.no_grad():
-        mask = network_of("FCN + CM", kind).conditioning(some_contexts(kind, 16))
+        mask = network_of("FCN + CM", kind).conditioning(random_contexts(kind, 16))
 
     assert mask is not None
     assert mask.min() == 0.0
@@ -145,9 +149,9 @@ def test_a_mask_is_never_negative(kind: ContextKind) -> None:
 
 @pytest.mark.parametrize(("method", "kind"), CONDITIONED)
 def test_every_push_meets_the_context_of_its_own_object(method: str, kind: ContextKind) -> None:
-    """The same pushes of two objects have two outcomes, and those of one object do not change with its neighbours."""
-    network, contexts = network_of(method, kind), some_contexts(kind, 2)
-    pushers = some_pushers(1, 6).expand(2, 6, 3)
+    """Predictions of a push depend on the context of its own object, and not on other objects in the batch."""
+    network, contexts = network_of(method, kind), random_contexts(kind, 2)
+    pushers = random_pushers(1, 6).expand(2, 6, 3)
     with torch.no_grad():
         both = network(pushers, contexts)
         swapped = network(pushers, contexts.flip(0))
@@ -159,8 +163,8 @@ def test_every_push_meets_the_context_of_its_own_object(method: str, kind: Conte
 
 def test_a_network_without_context_ignores_the_object() -> None:
     """The baseline predicts the same for every object."""
-    network, pushers = network_of("FCN", NONE), some_pushers(2, 3)
-    contexts = some_contexts(INDICATOR, 2)
+    network, pushers = network_of("FCN", NONE), random_pushers(2, 3)
+    contexts = random_contexts(INDICATOR, 2)
     with torch.no_grad():
         found, other = network(pushers, contexts), network(pushers, 1.0 - contexts)
 
@@ -168,13 +172,13 @@ def test_a_network_without_context_ignores_the_object() -> None:
     assert network.conditioning(contexts) is None
 
 
-@pytest.mark.parametrize("size", [-1e6, 1e6], ids=["far too sure", "far too unsure"])
+@pytest.mark.parametrize("size", [-1e6, 1e6], ids=["far too certain", "far too uncertain"])
 def test_the_log_standard_deviation_is_bounded(size: float) -> None:
-    """Whatever the input, the standard deviation is a positive, finite float32."""
+    """The predicted standard deviation is a positive, finite float32 for every input."""
     network = network_of("FCN", NONE)
     with torch.no_grad():
         network.last.bias[3:] = size
-        found = network(some_pushers(1, 4), some_contexts(NONE, 1)).log_std
+        found = network(random_pushers(1, 4), random_contexts(NONE, 1)).log_std
 
     assert found.abs().max() == LOG_STD_LIMIT
     assert torch.isfinite(torch.exp(found)).all()
@@ -185,8 +189,8 @@ def test_the_log_standard_deviation_is_bounded(size: float) -> None:
 def test_pushes_by_object_and_pushes_with_their_own_conditioning_are_one_function(
     method: str, kind: ContextKind
 ) -> None:
-    """Fitted is the context in the first layer's weights, per object; served is it on the activations, per push."""
-    network, pushers, contexts = network_of(method, kind), some_pushers(4, 7), some_contexts(kind, 4)
+    """Masked weights per object (in fitting) and masked activations per push (in serving) give the same Gaussians."""
+    network, pushers, contexts = network_of(method, kind), random_pushers(4, 7), random_contexts(kind, 4)
     with torch.no_grad():
         by_object = network(pushers, contexts)
         rows = None if by_object.conditioning is None else by_object.conditioning.repeat_interleave(7, dim=0)
@@ -198,8 +202,8 @@ def test_pushes_by_object_and_pushes_with_their_own_conditioning_are_one_functio
 
 @pytest.mark.parametrize(("method", "kind"), CELLS)
 def test_bfloat16_products_leave_float32_gaussians(method: str, kind: ContextKind) -> None:
-    """Rounded products move the Gaussian by a percent or so; types in, out and of the gradients stay float32."""
-    network, pushers, contexts = network_of(method, kind), some_pushers(4, 7), some_contexts(kind, 4)
+    """With bfloat16 products the Gaussians move by less than 2 %, and outputs and gradients stay float32."""
+    network, pushers, contexts = network_of(method, kind), random_pushers(4, 7), random_contexts(kind, 4)
     exact = network(pushers, contexts)
     mean, log_std = network.conditioned(pushers, network.conditioning(contexts), torch.bfloat16)
     torch.autograd.backward(mean.square().mean() + log_std.mean())
@@ -210,12 +214,12 @@ def test_bfloat16_products_leave_float32_gaussians(method: str, kind: ContextKin
     assert network.second.weight.grad.dtype is torch.float32
 
 
-def test_the_bound_does_not_hold_training_back() -> None:
-    """Where a log standard deviation is beyond it, its slope still says how to come back."""
+def test_the_bound_does_not_apply_in_training() -> None:
+    """A log standard deviation beyond the bound keeps its gradient in training."""
     network = network_of("FCN", NONE).train()
     with torch.no_grad():
         network.last.bias[3:] = 50.0
-    torch.autograd.backward(network(some_pushers(1, 4), some_contexts(NONE, 1)).log_std.sum())
+    torch.autograd.backward(network(random_pushers(1, 4), random_contexts(NONE, 1)).log_std.sum())
 
     assert network.last.bias.grad is not None
     assert network.last.bias.grad[3:].tolist() == [4.0] * 3
@@ -223,11 +227,11 @@ def test_the_bound_does_not_hold_training_back() -> None:
 
 @pytest.mark.parametrize("method", ["FCN", "FCN + CC", "FCN + CM"])
 def test_a_circular_angle_enters_as_its_cosine_and_sine(method: str) -> None:
-    """One more input to the first layer; the equations are the paper's on (x, y, cos, sin)."""
+    """A circular angle gives the first layer one more input: the paper's equations on (x, y, cos, sin)."""
     torch.manual_seed(4)
     kind = ContextKind.NONE if method == "FCN" else INDICATOR
     network = PushNetwork(METHODS[method], PUSH_SHAPES[kind], circular_angle=True).eval()
-    pushers, contexts = some_pushers(6, 5), some_contexts(kind, 6)
+    pushers, contexts = random_pushers(6, 5), random_contexts(kind, 6)
     with torch.no_grad():
         mean, log_std, conditioning = network(pushers, contexts)
         alone = network.gaussian(pushers[0], None if conditioning is None else conditioning[:1].expand(5, -1))
@@ -240,22 +244,22 @@ def test_a_circular_angle_enters_as_its_cosine_and_sine(method: str) -> None:
 
 @pytest.mark.parametrize("fitted", [True, False], ids=["fitted", "in training"])
 def test_a_least_std_is_added_to_every_std(fitted: bool) -> None:
-    """Whatever the layers say, std is theirs plus the least."""
+    """The predicted std is that of the layers plus ``least_std``."""
     plain = network_of("FCN + CM", INDICATOR).train(not fitted)
     floored = PushNetwork(METHODS["FCN + CM"], PUSH_SHAPES[INDICATOR], least_std=0.05).train(not fitted)
     floored.load_state_dict(plain.state_dict())
-    pushers, contexts = some_pushers(6, 5), some_contexts(INDICATOR, 6)
+    pushers, contexts = random_pushers(6, 5), random_contexts(INDICATOR, 6)
     with torch.no_grad():
         without, found = plain(pushers, contexts).log_std, floored(pushers, contexts).log_std
 
     assert torch.allclose(found.exp(), without.exp() + 0.05, rtol=1e-4)
 
 
-def test_other_shapes_are_networks_too() -> None:
-    """The regression of section IV-A: three past values and two kernel parameters in, one value out."""
+def test_a_regression_has_a_network_of_its_shape() -> None:
+    """The regression of section IV-A has three past values and two kernel parameters as input, and one output."""
     torch.manual_seed(3)
     network = PushNetwork(METHODS["FCN + CM"], Shape((2,), inputs=3, outputs=1))
-    inputs, contexts = some_pushers(5, 4), torch.rand(5, 2)
+    inputs, contexts = random_pushers(5, 4), torch.rand(5, 2)
     with torch.no_grad():
         mean, log_std, _ = network(inputs, contexts)
 
