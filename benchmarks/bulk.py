@@ -1,8 +1,8 @@
-"""Rows per second of ``cazsl predict --parquet``, start of processes included, with one job and with several.
+"""Throughput of ``cazsl predict --parquet``, start of processes included, with one job and with several.
 
     python -m benchmarks.bulk [--rows 1000000] [--jobs 2] [--rounds 3]
 
-Each number of jobs takes its turn in each round; the ratio is that of the medians. All files must be the same bytes.
+Each number of jobs runs once in each round. The ratio is that of the medians. All files must be the same bytes.
 """
 
 import argparse
@@ -17,12 +17,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from benchmarks.asking import ROOT
+from benchmarks.http_load import ROOT
 from training.omnipush.published import omnipush_descriptors
 
 
 def write_pushes(path: Path, rows: int) -> None:
-    """Pushes from all around Omnipush's objects, in random order."""
+    """Write pushes from all directions at Omnipush's objects, in random order."""
     rng = np.random.default_rng(0)
     bearing_rad = rng.uniform(-np.pi, np.pi, rows)
     objects = np.array(omnipush_descriptors())
@@ -36,26 +36,26 @@ def write_pushes(path: Path, rows: int) -> None:
 
 
 def predict_s(source: Path, target: Path, jobs: int) -> float:
-    """Seconds that the command takes."""
+    """Return the duration of the command, in s."""
     command = [sys.executable, "-c", "from service.cli.main import main; main()", "predict"]
     started = time.perf_counter()
-    options: list[str | Path] = ["--registry", ROOT / "models", "--parquet", source, target, "--jobs", str(jobs)]
-    subprocess.run([*command, *options], check=True, stdout=subprocess.DEVNULL)
+    arguments: list[str | Path] = ["--registry", ROOT / "models", "--parquet", source, target, "--jobs", str(jobs)]
+    subprocess.run([*command, *arguments], check=True, stdout=subprocess.DEVNULL)
     return time.perf_counter() - started
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rows", type=int, default=1_000_000)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--rounds", type=int, default=3)
-    given = parser.parse_args()
-    took_s: dict[int, list[float]] = {1: [], given.jobs: []}
+    options = parser.parse_args()
+    took_s: dict[int, list[float]] = {1: [], options.jobs: []}
     with tempfile.TemporaryDirectory() as folder:
         source, first = Path(folder) / "pushes.parquet", Path(folder) / "first.parquet"
-        write_pushes(source, given.rows)
-        for number in range(given.rounds):
+        write_pushes(source, options.rows)
+        for number in range(options.rounds):
             for jobs, found in took_s.items():
                 target = first if not first.exists() else Path(folder) / f"{number}-{jobs}.parquet"
                 found.append(predict_s(source, target, jobs))
@@ -63,10 +63,8 @@ def main() -> None:
                     raise SystemExit(f"{jobs} jobs wrote other bytes than 1")
     medians = {jobs: statistics.median(found) for jobs, found in took_s.items()}
     for jobs, seconds in medians.items():
-        print(f"{jobs} job{'s' * (jobs > 1)}: {given.rows / seconds:10,.0f} rows/s, {seconds:.1f} s")
-    print(
-        f"{given.jobs} jobs are {medians[1] / medians[given.jobs]:.2f} times as fast as 1; all files are the same bytes"
-    )
+        print(f"{jobs} job{'s' * (jobs > 1)}: {options.rows / seconds:10,.0f} rows/s, {seconds:.1f} s")
+    print(f"{options.jobs} jobs are {medians[1] / medians[options.jobs]:.2f} times as fast as 1; all files are equal")
 
 
 if __name__ == "__main__":

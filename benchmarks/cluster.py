@@ -1,7 +1,7 @@
-"""Instances of the service behind nginx, and wrk asking them: what drain, replicas and soak share.
+"""Instances of the service behind nginx, with wrk as the load generator: shared by drain, replicas and soak.
 
-Everything listens on loopback, in process groups of its own: Ctrl-C reaches the benchmark alone, which ends in order
-and leaves nothing behind. nginx and wrk come with the distribution.
+All processes listen on loopback and have process groups of their own, so Ctrl-C reaches the benchmark alone, which then
+ends them in order. nginx and wrk come with the distribution.
 """
 
 import os
@@ -16,15 +16,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from benchmarks.asking import OURS, PUSH, ROOT, Load, answers, free_port, wrk
+from benchmarks.http_load import OURS, PUSH, ROOT, Load, free_port, predicts, wrk_command
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 CONNECTIONS = 16
-PACED_CONNECTIONS = 64  # wrk waits in whole milliseconds: with few connections it would fall behind
-# An instance that closes its doors admits nobody new, so whoever knocks then gets no answer: without a short
-# proxy_connect_timeout, nginx waits for the kernel's second try, a second later, before it asks the other instance.
+PACED_CONNECTIONS = 64  # wrk waits in whole milliseconds, so few connections would not reach the rate
+# An instance that closes its sockets does not answer new connections. Without a short proxy_connect_timeout, nginx
+# waits for the kernel's second try, a second later, before it asks the other instance.
 ALLOCATOR = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "4194304"}
-"""As in the image: glibc gives back what released models held."""
+"""As in the image: glibc returns the memory of released models."""
 ONE_PUSH = Load("/v1/predict", PUSH, {"Content-Type": "application/json"})
 NGINX = """
 daemon off;
@@ -34,8 +34,8 @@ error_log {folder}/error.log crit;
 events {{}}
 http {{
   log_format asked '$status $upstream_addr';
-  map "$status $upstream_addr" $odd {{ "~^200 [^,]+$" 0; default 1; }}
-  access_log {folder}/access.log asked buffer=64k flush=1s if=$odd;
+  map "$status $upstream_addr" $unusual {{ "~^200 [^,]+$" 0; default 1; }}
+  access_log {folder}/access.log asked buffer=64k flush=1s if=$unusual;
   client_body_temp_path {folder}/body; proxy_temp_path {folder}/proxy; fastcgi_temp_path {folder}/fastcgi;
   uwsgi_temp_path {folder}/uwsgi; scgi_temp_path {folder}/scgi;
   client_body_buffer_size 1m; proxy_buffers 16 64k;
@@ -52,7 +52,7 @@ http {{
   }}
 }}
 """
-# One schedule for all connections, kept by the clock: what is late is made up for, so the rate holds on average.
+# One schedule for all connections, by the clock. Late requests are caught up, so the rate holds on average.
 PACE = """
 local ffi = require("ffi")
 ffi.cdef("typedef struct {{ long s; long ns; }} moment; int clock_gettime(int clock, moment *now);")
@@ -67,7 +67,7 @@ end
 
 
 class Instance:
-    """A service on a port, started again and again."""
+    """An instance of the service on a port, which can be ended and started again."""
 
     def __init__(self, registry: Path, log: Path, **settings: object) -> None:
         self.port = free_port()
@@ -86,7 +86,7 @@ class Instance:
 
     @property
     def pid(self) -> int:
-        """Of the process that runs, or ran last."""
+        """The id of the process that runs, or ran last."""
         return self._process.pid
 
     def launch(self) -> None:
@@ -97,37 +97,39 @@ class Instance:
             )
 
     def start(self) -> None:
-        """Start, and wait until a prediction is answered."""
+        """Start a process and wait until it predicts.
+
+        Raises:
+            SystemExit: the process ended, or did not predict in time.
+        """
         self.launch()
-        end = time.monotonic() + PATIENCE_S
+        end = time.monotonic() + TIMEOUT_S
         try:
-            while not answers(self.port):
+            while not predicts(self.port):
                 if self._process.poll() is not None or time.monotonic() > end:
-                    raise SystemExit(
-                        f"the instance on port {self.port} does not answer; its log:\n{self._last_words()}"
-                    )
+                    raise SystemExit(f"the instance on port {self.port} does not answer; its log:\n{self._log_tail()}")
                 time.sleep(0.05)
-        except BaseException:  # Ctrl-C too: whoever waits for this start has no instance yet to end
+        except BaseException:  # Ctrl-C too: the caller has no instance yet to end
             self.kill()
             raise
 
-    def _last_words(self) -> str:
+    def _log_tail(self) -> str:
         return self.log.read_text()[-2000:]
 
     def end(self) -> int:
-        """SIGTERM, and the exit status."""
+        """End the process by SIGTERM and return its exit status."""
         self._process.send_signal(signal.SIGTERM)
-        return self._process.wait(PATIENCE_S)
+        return self._process.wait(TIMEOUT_S)
 
     def kill(self) -> None:
-        """SIGKILL: nothing is left behind."""
+        """End the process by SIGKILL and wait for it."""
         self._process.kill()
         self._process.wait()
 
 
 @dataclass(frozen=True)
-class Seen:
-    """What one run of wrk saw."""
+class WrkReport:
+    """A report of one run of wrk."""
 
     p50_ms: float
     p99_ms: float
@@ -136,22 +138,22 @@ class Seen:
     failed: int
 
     @classmethod
-    def read(cls, output: str) -> "Seen":
-        """Of what wrk printed."""
+    def read(cls, output: str) -> "WrkReport":
+        """Read the report that wrk printed."""
         found = re.search(r"FIGURES (\d+) (\d+) (\d+) (\d+) (\d+)", output)
         if found is None:
-            raise SystemExit(f"wrk says nothing:\n{output}")
+            raise SystemExit(f"wrk printed no figures:\n{output}")
         p50_us, p99_us, requests, took_us, failed = map(int, found.groups())
         return cls(p50_us / 1e3, p99_us / 1e3, requests, took_us / 1e6, failed)
 
     @property
     def requests_per_s(self) -> float:
-        """Answers per second."""
+        """Return the answers per second."""
         return self.requests / self.took_s
 
 
-class Asking:
-    """wrk, asking without a pause, or at a rate."""
+class WrkProcess:
+    """A process of wrk that sends requests without a pause, or at a rate."""
 
     def __init__(
         self, folder: Path, port: int, seconds: int, rate_per_s: float | None = None, load: Load = ONE_PUSH
@@ -160,26 +162,26 @@ class Asking:
         if rate_per_s is not None:
             script.write_text(script.read_text() + PACE.format(between_ms=1000 / rate_per_s))
         connections = CONNECTIONS if rate_per_s is None else PACED_CONNECTIONS
-        command = wrk(script, f"http://127.0.0.1:{port}{load.path}", connections, seconds)
+        command = wrk_command(script, f"http://127.0.0.1:{port}{load.path}", connections, seconds)
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, process_group=0)
 
     def running(self) -> bool:
-        """Whether its time is not over."""
+        """True while the process runs."""
         return self._process.poll() is None
 
     def stop(self) -> None:
-        """End before its time: wrk ends in order, and says what it saw."""
+        """End the run early. wrk ends in order and prints its report."""
         self._process.send_signal(signal.SIGINT)
 
-    def seen(self) -> Seen:
-        """Wait for its end."""
+    def report(self) -> WrkReport:
+        """Wait for the end of the run and return its report."""
         output, _ = self._process.communicate()
-        return Seen.read(output)
+        return WrkReport.read(output)
 
 
 @contextmanager
 def instances(number: int, folder: Path, registry: Path, **settings: object) -> Iterator[list[Instance]]:
-    """Instances over one registry, each with its log in the folder."""
+    """Run instances over one registry, each with its log in the folder."""
     started: list[Instance] = []
     try:
         started.extend(Instance(registry, folder / f"instance-{place}.log", **settings) for place in range(number))
@@ -190,37 +192,41 @@ def instances(number: int, folder: Path, registry: Path, **settings: object) -> 
 
 
 @contextmanager
-def nginx(folder: Path, behind: Sequence[Instance], retry: bool = True) -> Iterator[int]:
-    """Run nginx before them, on a port; what was not answered with 200 at the first instance is in its access.log."""
+def nginx(folder: Path, upstreams: Sequence[Instance], retry: bool = True) -> Iterator[int]:
+    """Run nginx before the instances and yield its port.
+
+    access.log in the folder lists the requests without a 200 from the first instance.
+    """
     binary = shutil.which("nginx", path="/usr/sbin:/usr/bin:/usr/local/bin")
     if binary is None:
-        raise SystemExit("nginx is not here; it comes with the distribution: apt-get install nginx-light")
+        raise SystemExit("nginx is not installed: apt-get install nginx-light")
     if shutil.which("wrk") is None:
-        raise SystemExit("wrk is not here; it comes with the distribution: apt-get install wrk")
+        raise SystemExit("wrk is not installed: apt-get install wrk")
     folder.mkdir(exist_ok=True)
-    folder.chmod(0o755)  # nginx gives up its rights
+    folder.chmod(0o755)  # nginx drops its rights
     port = free_port()
-    servers = " ".join(f"server 127.0.0.1:{instance.port} max_fails=0;" for instance in behind)
-    words = "error timeout non_idempotent" if retry else "error timeout"
-    (folder / "nginx.conf").write_text(NGINX.format(folder=folder, servers=servers, port=port, retry=words))
+    servers = " ".join(f"server 127.0.0.1:{instance.port} max_fails=0;" for instance in upstreams)
+    conditions = "error timeout non_idempotent" if retry else "error timeout"
+    (folder / "nginx.conf").write_text(NGINX.format(folder=folder, servers=servers, port=port, retry=conditions))
     process = subprocess.Popen([binary, "-c", str(folder / "nginx.conf"), "-p", str(folder)], process_group=0)
     try:
-        while not answers(port):
+        while not predicts(port):
             time.sleep(0.05)
         yield port
     finally:
         process.send_signal(signal.SIGQUIT)
-        process.wait(PATIENCE_S)
+        process.wait(TIMEOUT_S)
 
 
-def odd_answers(folder: Path) -> tuple[int, int]:
-    """Of nginx's log: requests that were not answered with 200, and requests that were sent to a second instance."""
+def count_refused_and_retried(folder: Path) -> tuple[int, int]:
+    """Count in nginx's log the requests without a 200, and the requests that were sent to a second instance."""
     lines = (folder / "access.log").read_text().splitlines()
-    refused = sum(not line.startswith(("200 ", "499 ")) for line in lines)  # 499: wrk left, at the end
+    # 499: wrk closed the connection at the end of its run
+    refused = sum(not line.startswith(("200 ", "499 ")) for line in lines)
     return refused, sum("," in line for line in lines)
 
 
 def rss_mib(pid: int) -> float:
-    """Memory that a process holds."""
+    """Return the resident memory of a process, in MiB."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20

@@ -1,8 +1,8 @@
-"""What looking at a large registry costs: 1,000 versions of one model, and one poll of a service.
+"""Time to list a registry with 1,000 versions of one model, and of one poll of a service.
 
 python -m benchmarks.listing [--versions 1000]
 
-Published without waiting for the disk to have them, since only reading is measured. Prints the median of 20 warm looks.
+Versions are copied without syncing the disk, because only reading is measured. Prints the median of 20 warm reads.
 """
 
 import argparse
@@ -13,25 +13,25 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from benchmarks.asking import ROOT
+from benchmarks.http_load import ROOT
 from service.registry.registry import Registry
 
 NAME = "push-indicator"
 
 
-def median_ms(look: Callable[[], object]) -> float:
-    """Median of 20 looks after a first one."""
-    look()
+def median_ms(read: Callable[[], object]) -> float:
+    """Return the median duration of 20 reads after a first one, in ms."""
+    read()
     found = []
     for _ in range(20):
         started = time.perf_counter()
-        look()
+        read()
         found.append(time.perf_counter() - started)
     return 1000 * statistics.median(found)
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--versions", type=int, default=1000, help="how many versions")
     options = parser.parse_args()

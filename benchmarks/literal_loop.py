@@ -1,13 +1,13 @@
-"""The published training loop as its description reads, to be timed beside ours: FCN + CM with the indicator context.
+"""Literal implementation of the published training loop, to time beside ours: FCN + CM with the indicator context.
 
-Written from what the paper and the published program do, not from their lines:
+It is written from the behaviour of the paper and the published program, not from their code:
 
-- the batches of a data loader are cut into the two halves of the Siamese pairs, which pass the network one after the
-  other, each context repeated for every push of its object;
-- the distances between the masks of the pairs are worked out for every push, and one per object is kept; the distance
-  between contexts is learnt by a network of its own. Without a regulariser both are weighed by zero;
-- loss, error, likelihood and spread of every step are recorded;
-- after each epoch the test objects pass the same way, gradients and all, but for the step.
+- The batches of a data loader are cut into the two halves of the Siamese pairs. The halves pass the network one after
+  the other, each context repeated for every push of its object.
+- The distances between the masks of the pairs are computed for every push, and one per object is kept. The distance
+  between contexts is learnt by a separate network. Without a regulariser both have weight zero.
+- Loss, error, likelihood and spread of every step are recorded.
+- After each epoch the test objects pass the network in the same way, with gradients, but without a step.
 """
 
 from collections import defaultdict
@@ -25,7 +25,7 @@ PUBLISHED_WORKERS = 32  # processes of each of its two data loaders
 
 
 class LiteralNetwork(nn.Module):
-    """FCN + CM with one row of context per push, as the equations are written."""
+    """Network of FCN + CM with one row of context per push, as the equations are written."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class LiteralNetwork(nn.Module):
         self.distance = nn.Sequential(nn.Linear(36, 10), nn.ReLU(), nn.Linear(10, 5))
 
     def forward(self, pusher: Tensor, context: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Mean, log std and mask of pushes (n, pushes, 3) with contexts (n, 36), and their contexts embedded."""
+        """Return mean, log std and mask of pushes (n, pushes, 3) with contexts (n, 36), and the embedded contexts."""
         repeated = context[:, None, :].repeat(1, pusher.shape[1], 1).reshape(-1, context.shape[-1])
         mask = torch.relu(self.mask(repeated))
         hidden = torch.relu(self.first(pusher.reshape(-1, 3))) * mask
@@ -44,16 +44,16 @@ class LiteralNetwork(nn.Module):
 
 
 class LiteralEpochs:
-    """The loop, an epoch at a time."""
+    """A training loop that runs one epoch at a time."""
 
     def __init__(self, recipe: Recipe, workers: int, data: TrainingData) -> None:
-        """``workers`` are processes of each data loader; 0: it loads in this one."""
+        """Make the loop. ``workers`` is the number of processes of each data loader; 0 loads in this process."""
         torch.manual_seed(recipe.seed)
         self._recipe = recipe
         self._target_std = data.held_out.target_std
         self._network = LiteralNetwork()
         self._adam = torch.optim.Adam(self._network.parameters(), lr=recipe.learning_rate)
-        fork = "fork" if workers else None  # as on Linux by default; other ways take minutes an epoch
+        fork = "fork" if workers else None  # the default on Linux; other start methods take minutes an epoch
         self._train, self._test = (
             DataLoader(
                 _as_dataset(samples),
@@ -68,7 +68,7 @@ class LiteralEpochs:
         self._found: list[Tensor] = []
 
     def step(self) -> None:
-        """Train an epoch, and pass over the test objects."""
+        """Train one epoch and pass over the test objects."""
         self._network.train()
         for batch in self._train:
             loss, _ = _step(self._network, batch, self._recipe, self._record)
@@ -79,21 +79,21 @@ class LiteralEpochs:
         self._found = [_step(self._network, batch, self._recipe, self._record)[1].detach() for batch in self._test]
 
     def figures(self) -> Evaluation:
-        """Of the test objects after the last epoch."""
+        """Return the figures of the test objects after the last epoch."""
         mean, log_std, target = torch.cat(self._found, dim=1).numpy()
         return measure(mean, log_std, target, self._target_std)
 
 
 def _as_dataset(samples: Samples) -> TensorDataset:
     if not bool((samples.valid > 0).all()):
-        raise ValueError("the published loop knows no objects with fewer pushes than others")
+        raise ValueError("the published loop needs the same number of pushes of every object")
     return TensorDataset(samples.inputs, samples.targets, samples.context)
 
 
 def _step(
     network: LiteralNetwork, batch: list[Tensor], recipe: Recipe, record: dict[str, list[float]]
 ) -> tuple[Tensor, Tensor]:
-    """The loss of a batch; means, log stds and targets (3, n, 3)."""
+    """Return the loss of a batch, and means, log stds and targets (3, n, 3)."""
     half = len(batch[0]) // 2
     pushes = batch[0].shape[1]
     halves = [[values[:half] for values in batch], [values[half : 2 * half] for values in batch]]

@@ -1,10 +1,10 @@
-"""What each step from the paper's training to that of the served models is worth, at equal epochs.
+"""Recipe steps from the paper's training to that of the served models, with their figures at equal epochs.
 
     python -m benchmarks.recipe_steps [--epochs 150] [--data data/simulated/abs] [--out runs/recipe-steps] [STEP ...]
 
 Each step adds to the one before it. A row has the figures on the held-out objects, and those of the gates that a
-version must pass before an alias may name it (service/pushing/gates.py), as each is published into a registry of its own.
-Interrupted, it goes on where it stopped.
+version must pass before an alias may name it (service/pushing/gates.py). Each step is published into its own registry.
+An interrupted run continues where it stopped.
 """
 
 import argparse
@@ -17,6 +17,7 @@ from typing import Any, Final
 import torch
 
 from service.model.predictor import OnnxPredictor
+from service.pushing.domain import PUSHING
 from service.registry.loading import load_version
 from service.registry.promotion import judge
 from service.registry.registry import Registry
@@ -40,7 +41,7 @@ STEPS: Final[dict[str, dict[str, Any]]] = {
 
 
 def recipes(epochs: int) -> dict[str, Recipe]:
-    """The recipe of each step, for that many epochs."""
+    """Return the recipe of each step, for this number of epochs."""
     fields = dict(zip(STEPS, accumulate(STEPS.values(), lambda before, step: before | step), strict=True))
     return {
         step: replace(
@@ -53,11 +54,11 @@ def recipes(epochs: int) -> dict[str, Recipe]:
 
 
 def gate_figures(recipe: Recipe, network: Network, data: Path) -> str:
-    """Figure and limit of each gate of physics, with a mark where it refuses."""
+    """Return figure and limit of each gate of physics, with a mark for refusals."""
     with TemporaryDirectory() as folder:
         registry = Registry(Path(folder) / "models")
         made = publish(recipe, network, read_pushes(data, recipe.context_kind), registry)
-        verdicts = judge(load_version(registry, OnnxPredictor, made.name, made.version), None)
+        verdicts = judge(load_version(registry, OnnxPredictor, made.name, made.version), None, PUSHING)
     return " | ".join(f"{found.figure:.3f} of {found.limit:.3f}{'' if found.passed else ' ✗'}" for found in verdicts)
 
 
@@ -68,21 +69,21 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=150)
     parser.add_argument("--data", type=Path, default=Path("data/simulated/abs"))
     parser.add_argument("--out", type=Path, default=Path("runs/recipe-steps"))
-    given = parser.parse_args()
-    if unknown := set(given.steps) - set(STEPS):
+    options = parser.parse_args()
+    if unknown := set(options.steps) - set(STEPS):
         parser.error(f"no such step: {', '.join(sorted(unknown))}")
     torch.set_num_threads(1)
     print("| step | RMSE | STD | NLL | 50 % | 90 % | 95 % | no-contact | turned | angle-at-pi |")
     print("|---|---|---|---|---|---|---|---|---|---|")
-    for step, recipe in recipes(given.epochs).items():
-        if given.steps and step not in given.steps:
+    for step, recipe in recipes(options.epochs).items():
+        if options.steps and step not in options.steps:
             continue
-        data = TrainingData.of(recipe.split(), recipe.context_kind, read_pushes(given.data, recipe.context_kind))
-        network = fit(recipe, data, given.out / f"{step}-{given.epochs}")
+        data = TrainingData.of(recipe.split(), recipe.context_kind, read_pushes(options.data, recipe.context_kind))
+        network = fit(recipe, data, options.out / f"{step}-{options.epochs}")
         found = evaluate(network, data.held_out)
         coverage = " | ".join(f"{100 * share:.1f}" for share in found.coverage.values())
         figures = f"{found.rmse:.4f} | {found.std:.4f} | {found.nll:.2f} | {coverage}"
-        print(f"| {step} | {figures} | {gate_figures(recipe, network, given.data)} |", flush=True)
+        print(f"| {step} | {figures} | {gate_figures(recipe, network, options.data)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""How much a repeated push scatters, beside what was measured on real plates.
+"""Scatter of a repeated push in the simulator, beside the measurements on real plates.
 
     python -m benchmarks.repeatability [--repeats 400]
 
 Yu et al., "More than a million ways to be pushed", IROS 2016, section VII: a square steel block of 90 mm, pushed 150 mm
 at 20 mm/s along the normal of a side, half way between its middle and its corner, 2,000 times on each plate (table IV).
-Here the block rests on 16 feet, lies anywhere on the plate at any yaw, and the pusher moves at the dataset's 36 mm/s.
+Here the block rests on 16 feet and lies anywhere on the plate at any yaw. The pusher moves at the dataset's 36 mm/s.
 """
 
 import argparse
@@ -23,7 +23,7 @@ PUBLISHED = {"abs": (5.5, 3.2), "plywood": (8.1, 4.2)}  # std of position (mm) a
 
 
 def main() -> None:
-    """Push and print."""
+    """Simulate the pushes and print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--repeats", type=int, default=400, help="pushes on each plate")
     repeats = parser.parse_args().repeats

@@ -1,8 +1,9 @@
-"""How far two simulations of the same pushes are apart: of two processors, say.
+"""Difference between two simulations of the same pushes, for example on two processors.
 
     python -m benchmarks.same_pushes FOLDER OTHER
 
-Also how many arctangents numpy and the C library round differently here, which is where processors part (docs/data.md).
+Also counts the arctangents that numpy and the C library round differently here, the cause of such differences
+(docs/data.md).
 """
 
 import argparse
@@ -18,12 +19,12 @@ ARCTANGENTS = 1_000_000
 
 
 def outcomes(folder: Path) -> dict[str, np.ndarray]:
-    """The object's pose after each push, by object; (pushes, 3), m, m, rad."""
+    """Return the object's pose after each push (pushes, 3) in m, m, rad, by object."""
     return {name: read_object(pair)[1] for name, pair in list_folder(folder).pairs.items()}
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="of pushes, as cazsl-train simulate writes them")
     parser.add_argument("other", type=Path, help="of the same pushes")

@@ -1,11 +1,11 @@
-"""What our service gives beside others: single pushes, batches, pushes while images are decoded, start and memory.
+"""Serving compared with other servers: single pushes, batches, pushes while images are decoded, start and memory.
 
     python -m benchmarks.serving [--rounds 7] [--seconds 2] [--part images] [--peer litserve=PYTHON] ...
 
-All servers run at once on loopback, one process each (whatever that process starts is counted with it), and are asked
-in turn, round by round, with wrk: a machine whose speed drifts, drifts for all. Printed are medians over the rounds,
-the processor time that a request cost the server, which a busy machine disturbs less than its throughput, and ratios. A
-peer is a script in benchmarks/peers, run by the interpreter of an environment in which it is installed.
+All servers run at once on loopback, one process each; child processes are counted with it. wrk sends requests to them
+in turn, round by round, so a drift of the machine's speed affects all. Printed are medians over the rounds, ratios, and
+the server's processor time per request, which a busy machine disturbs less than the throughput. A peer is a script in
+benchmarks/peers, run by the interpreter of an environment in which the peer is installed.
 """
 
 import argparse
@@ -25,31 +25,34 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from benchmarks.asking import OURS, PUSH, ROOT, Figures, Load, Server, ask, free_port, server, wrk
+from benchmarks.http_load import OURS, PUSH, ROOT, Load, Server, WrkFigures, free_port, run_wrk, server, wrk_command
 from service.model.predictor import OnnxPredictor
 from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 
 ROWS = 1000
 CONNECTIONS = 16
 PARTS = ("singles", "batches", "images", "start")
 
 
-def median(runs: list[Figures], field: str) -> float:
-    """Of one figure over the rounds."""
+def median(runs: list[WrkFigures], field: str) -> float:
+    """Return the median of one figure over the rounds."""
     return float(statistics.median(getattr(run, field) for run in runs))
 
 
 def pushes() -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
-    """Pushes around an object."""
+    """Return random pushes around an object (1000, 3), m, m, rad."""
     return np.random.default_rng(0).uniform(-0.1, 0.1, (ROWS, 3)).astype(np.float32)
 
 
 def bare_runtime() -> Callable[[], float]:
-    """Pushes per second of the graph alone that the service serves, in this process, one thread."""
+    """Return a measurement of the bare runtime: pushes per second of the served graph, in this process, one thread."""
     folder = ROOT / "models/push-indicator"
     version = (folder / "aliases/champion").read_text().strip()
-    predictor = OnnxPredictor((folder / version / "model.onnx").read_bytes(), ContextKind.INDICATOR)
+    predictor = OnnxPredictor(
+        (folder / version / "model.onnx").read_bytes(), expected_inputs(ContextKind.INDICATOR), OUTPUTS
+    )
     rows, context = pushes(), ObjectContext.from_descriptor("1a2b3c4a").tensor()[None]
     index = np.zeros(ROWS, dtype=np.int64)
 
@@ -64,7 +67,7 @@ def bare_runtime() -> Callable[[], float]:
 
 
 def batch_loads() -> dict[str, Load]:
-    """A thousand pushes of one object, as JSON and as tensors."""
+    """Return requests of a thousand pushes of one object, as JSON and as binary tensors."""
     rows = pushes()
     shortest = [[float(str(x)) for x in row] for row in rows]
     body = json.dumps({"pushers": shortest, "contexts": [{"descriptor": "1a2b3c4a"}]})
@@ -85,7 +88,7 @@ def batch_loads() -> dict[str, Load]:
 
 
 def image_load() -> Load:
-    """A photograph of two megapixels, to be converted."""
+    """Return a request with a photograph of two megapixels to convert."""
     levels = np.random.default_rng(0).integers(0, 256, (1200, 1600, 3), dtype=np.uint8)
     buffer = io.BytesIO()
     Image.fromarray(levels).save(buffer, "JPEG")
@@ -93,12 +96,12 @@ def image_load() -> Load:
 
 
 def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds: int) -> None:
-    """Every server in turn, one push a request."""
+    """Measure every server in turn with one push per request."""
     script = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
-    runs: dict[str, list[Figures]] = {name: [] for name in servers}
+    runs: dict[str, list[WrkFigures]] = {name: [] for name in servers}
     for _ in range(rounds):
         for name, target in servers.items():
-            runs[name].append(ask(target, script, "/v1/predict", CONNECTIONS, seconds))
+            runs[name].append(run_wrk(target, script, "/v1/predict", CONNECTIONS, seconds))
     empty = runs["(a) empty FastAPI endpoint, same schemas"]
     print(f"\n## Single pushes, {CONNECTIONS} connections\n")
     print("| server | requests/s | times (a) | processor us per request | times less than (a) | p50 (ms) | p99 (ms) |")
@@ -113,14 +116,14 @@ def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds
 
 
 def batches(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
-    """A thousand pushes a request, beside the runtime alone."""
+    """Measure the service with a thousand pushes per request, beside the bare runtime."""
     loads, runtime = batch_loads(), bare_runtime()
     alone: list[float] = []
-    runs: dict[str, list[Figures]] = {name: [] for name in loads}
+    runs: dict[str, list[WrkFigures]] = {name: [] for name in loads}
     for _ in range(rounds):
         alone.append(runtime())
         for number, (name, load) in enumerate(loads.items()):
-            runs[name].append(ask(ours, load.script(folder, f"batch{number}"), load.path, 2, seconds))
+            runs[name].append(run_wrk(ours, load.script(folder, f"batch{number}"), load.path, 2, seconds))
     print(f"\n## Batches of {ROWS} pushes of one object, 2 connections\n")
     print("| | pushes/s | of the bare runtime |")
     print("|---|---|---|")
@@ -131,16 +134,16 @@ def batches(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
 
 
 def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
-    """Single pushes on one connection while two others upload photographs, and while they do not."""
+    """Measure single pushes on one connection, idle and while two other connections upload photographs."""
     push = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
     load = image_load()
-    upload = wrk(load.script(folder, "image"), f"http://127.0.0.1:{ours.port}{load.path}", 2, seconds + 1)
-    runs: dict[str, list[Figures]] = {"idle": [], "while images are decoded": []}
+    upload = wrk_command(load.script(folder, "image"), f"http://127.0.0.1:{ours.port}{load.path}", 2, seconds + 1)
+    runs: dict[str, list[WrkFigures]] = {"idle": [], "while images are decoded": []}
     for _ in range(rounds):
-        runs["idle"].append(ask(ours, push, "/v1/predict", 1, seconds))
+        runs["idle"].append(run_wrk(ours, push, "/v1/predict", 1, seconds))
         uploading = subprocess.Popen(upload, stdout=subprocess.DEVNULL)
         time.sleep(0.5)
-        runs["while images are decoded"].append(ask(ours, push, "/v1/predict", 1, seconds))
+        runs["while images are decoded"].append(run_wrk(ours, push, "/v1/predict", 1, seconds))
         uploading.wait()
     print("\n## Single pushes while images are decoded, 1 connection\n")
     print("| | p50 (ms) | p99 (ms) | of the rounds |\n|---|---|---|---|")
@@ -154,7 +157,7 @@ def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None
 
 
 def start(rounds: int) -> None:
-    """How long a service takes to its first answer, and what it holds then."""
+    """Measure the time from start to first answer, and the memory at that moment."""
     times, memory = [], []
     for _ in range(rounds):
         began = time.perf_counter()
@@ -167,18 +170,18 @@ def start(rounds: int) -> None:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     peers = ROOT / "benchmarks" / "peers"
     known = sorted(path.name.removesuffix("_peer.py") for path in peers.glob("*_peer.py"))
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=int, default=2, help="length of one run of wrk")
     parser.add_argument("--rounds", type=int, default=7, help="runs of each")
     parser.add_argument("--peer", action="append", default=[], metavar="NAME=PYTHON", help=f"one of {', '.join(known)}")
-    parser.add_argument("--part", choices=PARTS, action="append", help="measure only this; may be repeated")
+    parser.add_argument("--part", choices=PARTS, action="append", help="measure this part only; may be repeated")
     options = parser.parse_args()
     parts = options.part or PARTS
     if shutil.which("wrk") is None:
-        raise SystemExit("wrk is not installed; apt-get install wrk")
+        raise SystemExit("wrk is not installed: apt-get install wrk")
     commands = {
         "ours": [sys.executable, *OURS],
         "(a) empty FastAPI endpoint, same schemas": [sys.executable, str(peers / "empty_fastapi.py")],
@@ -198,7 +201,7 @@ def main() -> None:
             port = free_port()
             own = command if name == "ours" else [*command, str(port)]
             servers[name] = stack.enter_context(server(own, port))
-        print(f"{options.rounds} rounds of {options.seconds} s, {os.cpu_count()} processors, medians; asked by wrk.")
+        print(f"{options.rounds} rounds of {options.seconds} s, {os.cpu_count()} processors, medians; load by wrk.")
         if "singles" in parts:
             single_pushes(servers, folder, options.rounds, options.seconds)
         if "batches" in parts:

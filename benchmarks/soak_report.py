@@ -1,4 +1,4 @@
-"""What a soak showed: a table over time, a plot, the figures, and what was lost."""
+"""Report of a soak test: a table over time, a plot, the figures, and the losses."""
 
 import json
 import statistics
@@ -62,8 +62,8 @@ through nginx, and those of all that shares the processors. The instance that is
 Row = dict[str, Any]
 
 
-class Soaked:
-    """The record of a soak, by kind of line."""
+class SoakRecord:
+    """A record of a soak test, by kind of line."""
 
     def __init__(self, rows: Iterable[Row]) -> None:
         self._rows: dict[str, list[Row]] = {}
@@ -74,15 +74,15 @@ class Soaked:
         self.lasted_s = max(row["at_s"] for kind in ("slice", "sample") for row in self.all(kind)) - self.began_s
 
     def all(self, kind: str) -> list[Row]:
-        """Every line of a kind, in order."""
+        """Return every line of a kind, in order."""
         return self._rows.get(kind, [])
 
     def minute(self, row: Row) -> float:
-        """When a line was written, in minutes from the beginning of the load."""
+        """Return the time of a line, in minutes from the beginning of the load."""
         return float(row["at_s"] - self.began_s) / 60
 
     def during(self, tenth: int, kind: str) -> list[Row]:
-        """The lines of a kind in one tenth of the time."""
+        """Return the lines of a kind in one tenth of the time."""
         return [row for row in self.all(kind) if self._tenth(row) == tenth]
 
     def _tenth(self, row: Row) -> int:
@@ -90,27 +90,27 @@ class Soaked:
         return min(TENTHS - 1, int(middle_s / self.lasted_s * TENTHS))
 
     def total(self, kind: str, field: str) -> float:
-        """A sum over all lines."""
+        """Return the sum of a field over all lines of a kind."""
         return float(sum(row[field] for row in self.all(kind)))
 
     def of_instances(self, rows: Sequence[Row], place: int, field: str) -> list[float]:
-        """One figure of one instance, where it ran."""
+        """Return one figure of one instance for the lines in which it ran."""
         return [row["instances"][place][field] for row in rows if row["instances"][place] is not None]
 
     def rss_mib(self, tenth: int) -> float:
-        """Median memory of the instance that lives."""
+        """Return the median memory of the instance that lives, in MiB."""
         return _median(self.of_instances(self.during(tenth, "sample"), 0, "rss_mib"))
 
     def each(self, field: str) -> list[float]:
-        """What was measured after promotes."""
+        """Return the times of a field over all promotions, in s."""
         return [value for row in self.all("promote") for value in row[field]]
 
     def outcomes(self) -> Counter[str]:
-        """What the hostile clients got."""
+        """Return the outcomes of the hostile clients."""
         return Counter(self.all("hostile")[-1]["outcomes"] if self.all("hostile") else {})
 
-    def untruthful(self) -> int:
-        """Checks in which an instance said that it was ready, and did not answer."""
+    def wrong_readiness(self) -> int:
+        """Count the checks in which an instance was ready but did not predict."""
         checks = self.all("check")
         return sum(
             ready == 200 and version is None
@@ -119,7 +119,7 @@ class Soaked:
         )
 
     def figures(self) -> Row:
-        """All in one."""
+        """Return all figures of the report."""
         outcomes, slices, ends = self.outcomes(), self.all("slice"), self.all("end")
         log = self.all("log")[-1] if self.all("log") else {}
         reached_per_s = self.total("slice", "requests") / self.total("slice", "took_s")
@@ -141,7 +141,7 @@ class Soaked:
             "ends_without_0": sum(row["status"] != 0 for row in ends),
             "longest_away_s": max((row["end_s"] + row["start_s"] for row in ends), default=0.0),
             "checks": len(self.all("check")),
-            "ready_without_an_answer": self.untruthful(),
+            "ready_without_an_answer": self.wrong_readiness(),
             "first_tenth_mib": first_mib,
             "last_tenth_mib": last_mib,
             "grown_mib": last_mib - first_mib,
@@ -155,22 +155,22 @@ class Soaked:
 
 
 def write_report(folder: Path) -> list[str]:
-    """Write table, plot and figures beside the record; what was lost, a line each."""
+    """Write table, plot and figures beside the record. Return the losses, a line each."""
     lines = (folder / RECORD_FILE).read_text(encoding="utf-8").splitlines()
     rows = [json.loads(line) for line in lines]
     if not {"run", "slice", "sample"} <= {row["kind"] for row in rows}:
-        return ["it ended before anything was measured"]
-    soaked = Soaked(rows)
-    figures = soaked.figures()
+        return ["the run ended before the first measurement"]
+    record = SoakRecord(rows)
+    figures = record.figures()
     losses = _losses(figures)
     (folder / FIGURES_FILE).write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
-    (folder / REPORT_FILE).write_text(_text(soaked, figures, losses), encoding="utf-8")
-    _draw(soaked, folder / PLOT_FILE)
+    (folder / REPORT_FILE).write_text(_text(record, figures, losses), encoding="utf-8")
+    _draw(record, folder / PLOT_FILE)
     return losses
 
 
 def _losses(figures: Row) -> list[str]:
-    """What must not be, in words."""
+    """Return a sentence for each loss."""
     grown, bound = figures["grown_mib"], figures["growth_bound_mib"]
     faults = {
         "requests failed": figures["requests_failed"],
@@ -186,26 +186,26 @@ def _losses(figures: Row) -> list[str]:
     return found
 
 
-def _text(soaked: Soaked, figures: Row, losses: Sequence[str]) -> str:
-    """The report."""
-    outcomes = soaked.outcomes()
+def _text(record: SoakRecord, figures: Row, losses: Sequence[str]) -> str:
+    """Return the text of the report."""
+    outcomes = record.outcomes()
     return REPORT.format(
         **figures,
         command=COMMAND.format(**figures) + f" --end-every-s {figures['end_every_s']:g}",
         verdict=f"**Lost: {'; '.join(losses)}.**" if losses else "Nothing was lost.",
         table="\n".join(f"| {words} | {cell.format(**figures)} |" for words, cell in TABLE.items()),
-        over_time=_over_time(soaked),
+        over_time=_over_time(record),
         outcomes="\n".join(f"| {outcome} | {count} |" for outcome, count in sorted(outcomes.items())),
         plot=PLOT_FILE,
     )
 
 
-def _over_time(soaked: Soaked) -> str:
-    """A row per tenth of the time; medians."""
+def _over_time(record: SoakRecord) -> str:
+    """Return a row of medians per tenth of the time."""
     rows = []
     for tenth in range(TENTHS):
-        slices, samples = soaked.during(tenth, "slice"), soaked.during(tenth, "sample")
-        first, last = (soaked.lasted_s / 60 * part / TENTHS for part in (tenth, tenth + 1))
+        slices, samples = record.during(tenth, "slice"), record.during(tenth, "sample")
+        first, last = (record.lasted_s / 60 * part / TENTHS for part in (tenth, tenth + 1))
         rate = sum(row["requests"] for row in slices) / max(1e-9, sum(row["took_s"] for row in slices))
         cells = [
             f"{first:.1f} to {last:.1f}",
@@ -213,47 +213,47 @@ def _over_time(soaked: Soaked) -> str:
             f"{sum(row['failed'] for row in slices)}",
             f"{_median(row['p50_ms'] for row in slices):.2f}",
             f"{_median(row['p99_ms'] for row in slices):.1f}",
-            f"{soaked.rss_mib(tenth):.1f}",
-            f"{_median(soaked.of_instances(samples, 1, 'rss_mib')):.1f}",
-            f"{_median(soaked.of_instances(samples, 0, 'files')):.0f}",
-            f"{_median(soaked.of_instances(samples, 0, 'threads')):.0f}",
-            f"{len(soaked.during(tenth, 'promote'))}",
+            f"{record.rss_mib(tenth):.1f}",
+            f"{_median(record.of_instances(samples, 1, 'rss_mib')):.1f}",
+            f"{_median(record.of_instances(samples, 0, 'files')):.0f}",
+            f"{_median(record.of_instances(samples, 0, 'threads')):.0f}",
+            f"{len(record.during(tenth, 'promote'))}",
         ]
         rows.append(f"| {' | '.join(cells)} |")
     return "\n".join(rows)
 
 
-def _draw(soaked: Soaked, path: Path) -> None:
-    """Memory, latency, and requests over time, one under the other."""
+def _draw(record: SoakRecord, path: Path) -> None:
+    """Draw memory, latency and requests over time, one under the other."""
     figure = Figure(figsize=(9, 8), layout="constrained")
     memory, latency, requests = figure.subplots(3, sharex=True)
     for place, name in enumerate(("lives the whole time", "ended by SIGTERM and started again")):
-        rows = [row for row in soaked.all("sample") if row["instances"][place] is not None]
-        memory.plot(_minutes(soaked, rows), soaked.of_instances(rows, place, "rss_mib"), label=name)
+        rows = [row for row in record.all("sample") if row["instances"][place] is not None]
+        memory.plot(_minutes(record, rows), record.of_instances(rows, place, "rss_mib"), label=name)
     memory.set(ylabel="memory (MiB)", ylim=(0, None))
     memory.legend(loc="lower right")
-    slices = soaked.all("slice")
-    latency.plot(_minutes(soaked, slices), [row["p99_ms"] for row in slices], label="99th percentile")
-    latency.plot(_minutes(soaked, slices), [row["p50_ms"] for row in slices], label="median")
+    slices = record.all("slice")
+    latency.plot(_minutes(record, slices), [row["p99_ms"] for row in slices], label="99th percentile")
+    latency.plot(_minutes(record, slices), [row["p50_ms"] for row in slices], label="median")
     latency.set(ylabel="latency (ms)", yscale="log")
     latency.legend(loc="upper right")
-    requests.plot(_minutes(soaked, slices), [row["requests"] / row["took_s"] for row in slices], label="answered")
-    requests.plot(_minutes(soaked, slices), [row["failed"] / row["took_s"] for row in slices], label="failed")
+    requests.plot(_minutes(record, slices), [row["requests"] / row["took_s"] for row in slices], label="answered")
+    requests.plot(_minutes(record, slices), [row["failed"] / row["took_s"] for row in slices], label="failed")
     requests.set(ylabel="requests/s", xlabel="minutes", ylim=(0, None))
     requests.legend(loc="center right")
     figure.savefig(path, dpi=100)
 
 
-def _minutes(soaked: Soaked, rows: Sequence[Row]) -> list[float]:
-    return [soaked.minute(row) for row in rows]
+def _minutes(record: SoakRecord, rows: Sequence[Row]) -> list[float]:
+    return [record.minute(row) for row in rows]
 
 
 def _median(values: Iterable[float]) -> float:
-    """Of what there is; a tenth that saw nothing has none."""
+    """Return the median of the values, or NaN without values."""
     found = list(values)
     return float(statistics.median(found)) if found else float("nan")
 
 
 def _is_server_error(outcome: str) -> bool:
-    """Whether an outcome, such as "attack 400", is a status of 500 or more."""
+    """True if an outcome, such as "attack 400", is a status of 500 or more."""
     return outcome.split()[1].startswith("5")

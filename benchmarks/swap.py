@@ -1,17 +1,18 @@
-"""What swapping models costs the requests that run meanwhile.
+"""Swaps of models: their cost for the requests that run meanwhile.
 
     python -m benchmarks.swap [--swaps 100] [--rounds 5] [--every-s 1]
 
-First says what loading one version costs by itself: processor time, and how long another thread waits for Python at
-most. Then asks a service with wrk at 4 connections, each round in three phases whose order rotates: nothing else going
-on; an alias moving in a registry that nobody serves (the price of sharing the machine with whoever moves it); and the
-same alias moving in the registry that is served. All versions are published before: a move names one that is not among
-the newest, so that the service has to load it, check it, swap it in and let the one before go.
+The first table has the cost of loading one version by itself: processor time, and the longest time that another thread
+waits for the interpreter's lock. Then wrk sends requests to a service over 4 connections. Each round has three phases,
+whose order rotates: no swaps; an alias that moves in a registry that is not served (the cost of sharing the machine
+with the process that moves it); and the same alias moving in the served registry. All versions are published before. A
+move names a version that is not among the newest, so the service has to load it, check it, swap it in and release the
+one before.
 
-Percentiles are wrk's: it counts the requests that it would have sent while it waited, so that the 99th percentile is
-about the hundredth of the time in which answers were slowest. Noise is how far the phases without swaps are apart. Both
-cores of a small machine are shared by wrk, service and mover: read the ratios, not the times. Fails if any request
-failed, a swap was missed, or one named a version that was loaded already (the service counts both).
+Percentiles are wrk's. It counts the requests that it would have sent while it waited, so the 99th percentile is about
+the hundredth of the time in which answers were slowest. Noise is the ratio between the phases without swaps. On a small
+machine wrk, service and mover share the cores, so read the ratios, not the times. The benchmark fails if a request
+failed, a swap was missed, or a move named a version that was loaded already (the service counts swaps and loads).
 """
 
 import argparse
@@ -34,7 +35,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from benchmarks.asking import OURS, PUSH, ROOT, Load, Server, ask, free_port, server
+from benchmarks.http_load import OURS, PUSH, ROOT, Load, Server, free_port, run_wrk, server
 from service.cli.serve import SWITCH_INTERVAL_S
 from service.model.predictor import OnnxPredictor
 from service.registry.loading import load_version
@@ -45,7 +46,7 @@ PATH = "/v1/predict"
 CONNECTIONS = 4
 NEWEST_VERSIONS = 2
 LOADS = 100
-LOWEST_PRIORITY = 19  # whoever moves an alias is not what is measured
+LOWEST_PRIORITY = 19  # the process that moves an alias must not disturb the measurement
 QUIET, ELSEWHERE, SWAPPING = "no swaps", "an alias moves elsewhere", "swapping"
 MALLOC = {"MALLOC_MMAP_THRESHOLD_": "131072", "MALLOC_TRIM_THRESHOLD_": "4194304"}  # as the image has it
 HISTOGRAM = """
@@ -61,26 +62,26 @@ end
 
 @dataclass(frozen=True)
 class Latencies:
-    """How many answers took how many microseconds."""
+    """A histogram of latencies: number of answers by microseconds."""
 
     counts: Counter[int]
 
     def percentile_us(self, share: float) -> int:
-        """What this share of the answers did not exceed."""
+        """Return the latency that this share of the answers did not exceed, in us."""
         left = share * self.counts.total()
         for took_us, count in sorted(self.counts.items()):
             left -= count
             if left <= 0:
                 return took_us
-        raise SystemExit("wrk measured nothing")
+        raise SystemExit("wrk measured no latencies")
 
     def slower(self, than_us: float) -> int:
-        """How many answers took longer."""
+        """Return the number of answers that took longer."""
         return sum(count for took_us, count in self.counts.items() if took_us > than_us)
 
 
 def publish(root: Path, swaps: int, interval_s: float) -> None:
-    """Publish the first version again and again, each time as the champion; old ones are removed on the way."""
+    """Publish the first version again and again, each time as the champion. Old versions are removed on the way."""
     registry = Registry(root)
     first = registry.read(NAME, 1)
     for _ in range(swaps):
@@ -93,7 +94,7 @@ def publish(root: Path, swaps: int, interval_s: float) -> None:
 
 
 def move(root: Path, swaps: int, every_s: float) -> None:
-    """Make the champion the version after it, again and again, at the lowest priority."""
+    """Move the champion to the next version, again and again, at the lowest priority."""
     os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), LOWEST_PRIORITY)  # of this thread alone
     registry = Registry(root)
     champion = registry.aliases(NAME)["champion"]
@@ -103,7 +104,7 @@ def move(root: Path, swaps: int, every_s: float) -> None:
 
 
 def prepare(root: Path, swaps: int) -> None:
-    """A copy of the shipped registry, with a version for every swap and some that are newer."""
+    """Copy the shipped registry and publish a version for every swap, and some that are newer."""
     shutil.copytree(ROOT / "models", root)
     registry = Registry(root)
     first = registry.read(NAME, registry.aliases(NAME)["champion"])
@@ -112,11 +113,11 @@ def prepare(root: Path, swaps: int) -> None:
 
 
 def longest_wait_ms(work: Callable[[], object]) -> float:
-    """How long another thread does not get to run Python at most, while the work is done."""
+    """Return the longest time that another thread waits for the interpreter's lock during the work, in ms."""
     done, waits = threading.Event(), [0.0]
 
     def watch() -> None:
-        """Look at the clock all the time."""
+        """Read the clock in a loop."""
         last = time.perf_counter()
         while not done.is_set():
             now = time.perf_counter()
@@ -132,7 +133,7 @@ def longest_wait_ms(work: Callable[[], object]) -> float:
 
 
 def measure_loads() -> None:
-    """What one load costs by itself, for every model that ships."""
+    """Print the cost of one load by itself, for every model that ships."""
     registry = Registry(ROOT / "models")
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     print(f"A load, medians of {LOADS}:\n\n| version | processor (ms) | longest wait of another thread (ms) |")
@@ -149,29 +150,29 @@ def measure_loads() -> None:
 
 
 def served_version(port: int) -> int:
-    """Which version answers now."""
+    """Return the version that answers now."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request("POST", PATH, PUSH, {"Content-Type": "application/json"})
     return int(json.loads(connection.getresponse().read())["model"]["version"])
 
 
-def counted(port: int) -> dict[str, int]:
-    """How many swaps and loads of the model the service has counted since it started."""
+def counters(port: int) -> dict[str, int]:
+    """Return the swaps and loads of the model that the service has counted since it started."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request("GET", "/metrics")
     text = connection.getresponse().read().decode()
     return {
-        what: sum(int(float(value)) for value in re.findall(rf'^{counter}{{.*model="{NAME}".*}} (\S+)$', text, re.M))
-        for what, counter in (("swaps", "cazsl_alias_swaps_total"), ("loads", "cazsl_model_loads_total"))
+        event: sum(int(float(value)) for value in re.findall(rf'^{counter}{{.*model="{NAME}".*}} (\S+)$', text, re.M))
+        for event, counter in (("swaps", "cazsl_alias_swaps_total"), ("loads", "cazsl_model_loads_total"))
     }
 
 
-def phase(asked: Server, script: Path, target: Path | None, swaps: int, every_s: float) -> Latencies:
-    """One run of wrk, an alias moving beside it unless there is no target."""
+def phase(server_process: Server, script: Path, target: Path | None, swaps: int, every_s: float) -> Latencies:
+    """Run wrk once. With a target, an alias moves in that registry meanwhile."""
     seconds = math.ceil((swaps + 1) * every_s)
     with ThreadPoolExecutor(1) as mover:
         moved = mover.submit(move, target, swaps, every_s) if target is not None else None
-        ask(asked, script, PATH, CONNECTIONS, seconds)
+        run_wrk(server_process, script, PATH, CONNECTIONS, seconds)
         if moved is not None:
             moved.result()
     lines = script.with_suffix(".latencies").read_text().splitlines()
@@ -179,7 +180,7 @@ def phase(asked: Server, script: Path, target: Path | None, swaps: int, every_s:
 
 
 def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latencies]]:
-    """All rounds over one service."""
+    """Run all rounds over one service."""
     targets = {QUIET: None, ELSEWHERE: folder / "elsewhere", SWAPPING: folder / "served"}
     swaps = options.swaps // options.rounds
     for root in filter(None, targets.values()):
@@ -195,16 +196,16 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latenci
     )
     found: dict[str, list[Latencies]] = {name: [] for name in targets}
     phases = list(targets.items())
-    with server([sys.executable, *OURS], free_port()) as asked:
-        ask(asked, script, PATH, CONNECTIONS, 2)
-        before, held_mib = counted(asked.port), asked.rss_mib()
+    with server([sys.executable, *OURS], free_port()) as server_process:
+        run_wrk(server_process, script, PATH, CONNECTIONS, 2)
+        before, held_mib = counters(server_process.port), server_process.rss_mib()
         for number in tqdm(range(options.rounds), desc="rounds", disable=None):
             for name, target in phases[number % 3 :] + phases[: number % 3]:
-                found[name].append(phase(asked, script, target, swaps, options.every_s))
+                found[name].append(phase(server_process, script, target, swaps, options.every_s))
         time.sleep(1.0)
-        served, champion = served_version(asked.port), Registry(folder / "served").aliases(NAME)["champion"]
-        after, holds_mib = counted(asked.port), asked.rss_mib()
-    done = {what: after[what] - before[what] for what in before}
+        served, champion = served_version(server_process.port), Registry(folder / "served").aliases(NAME)["champion"]
+        after, holds_mib = counters(server_process.port), server_process.rss_mib()
+    done = {event: after[event] - before[event] for event in before}
     print(f"\n{options.rounds} rounds of {swaps} swaps, one every {options.every_s:g} s; failed requests: 0; ", end="")
     print(f"the service counted {done['swaps']} swaps and {done['loads']} loads; ", end="")
     print(f"served at the end: version {served}, the champion: {champion}; ", end="")
@@ -215,12 +216,12 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, list[Latenci
 
 
 def spread(values: list[float]) -> str:
-    """Median and range."""
+    """Return the text of median and range."""
     return f"{statistics.median(values):.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 def report(found: dict[str, list[Latencies]], swaps: int) -> None:
-    """Medians over the rounds of so many swaps, and ratios within a round."""
+    """Print medians over the rounds of this many swaps, and ratios within a round."""
     p99s = {name: [run.percentile_us(0.99) / 1e3 for run in runs] for name, runs in found.items()}
     print("| phase | p50 (ms) | p99 (ms) | p99.9 (ms) | p99 of the same round without swaps | slower than that p99 |")
     print("|---|---|---|---|---|---|")
@@ -240,7 +241,7 @@ def report(found: dict[str, list[Latencies]], swaps: int) -> None:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--swaps", type=int, default=100, help="swaps in all")
     parser.add_argument("--rounds", type=int, default=5, help="how many rounds share them")

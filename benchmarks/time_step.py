@@ -1,4 +1,4 @@
-"""What the simulator's time step costs in accuracy: the same pushes at the dataset's step and at a quarter of it.
+"""Error of the simulator's time step: the same pushes at the dataset's step and at a quarter of it.
 
 python -m benchmarks.time_step [--objects 10] [--pushes 40]
 """
@@ -18,7 +18,7 @@ from training.simulation.surfaces import even_conditions
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--objects", type=int, default=10, help="objects, spread over the benchmark's list")
     parser.add_argument("--pushes", type=int, default=40, help="pushes of each")

@@ -1,17 +1,17 @@
-"""How fast a training epoch is, beside a literal implementation of the published loop, and whether it learns as well.
+"""Training epochs: time and held-out figures, beside a literal implementation of the published loop.
 
     python -m benchmarks.training [--epochs 100] [--data data/simulated/abs]
 
-FCN + CM with the indicator context, at the paper's configuration: 200 objects x 250 pushes, 64 objects a batch, Adam at
-0.002. The literal loop (``literal_loop``) has its data loaders in its own process or, as published, 32 processes for
-each. Ours has all cores for one run, or one for each of several, as ``cazsl-train reproduce`` does: then an epoch of
-all of them counts as one epoch of each. Every run has a process of its own. Loops take turns, epoch by epoch, so that
-they share whatever else the machine does, and each is measured on the test objects after the same epochs: the mean over
-the last ten, since single ones scatter.
+The method is FCN + CM with the indicator context, at the paper's configuration: 200 objects x 250 pushes, 64 objects a
+batch, Adam at 0.002. The literal loop (``literal_loop``) has its data loaders in its own process or, as published, 32
+processes for each. Our loop has all cores for one run, or one core for each of several runs, as in ``cazsl-train
+reproduce``; then an epoch of all of them counts as one epoch of each. Every run has its own process. Loops take turns,
+epoch by epoch, so other load on the machine affects all of them. Each is measured on the test objects after the same
+epochs: the mean over the last ten, because single epochs scatter.
 
     python -m benchmarks.training --methods [--epochs 20]
 
-The time of an epoch of every method and context, by turns, on pushes that are random: the time does not depend on them.
+Prints the time of an epoch of every method and context, by turns, on random pushes. The time does not depend on them.
 """
 
 import argparse
@@ -47,22 +47,22 @@ RECIPE: Final = Recipe("push", "FCN + CM", "indicator", "different-objects", 1, 
 
 
 class Epochs(Protocol):
-    """A training loop, an epoch at a time."""
+    """A training loop that runs one epoch at a time."""
 
     def step(self) -> None:
         """Train an epoch."""
         ...
 
     def figures(self) -> Evaluation:
-        """What it has learnt."""
+        """Return the held-out figures."""
         ...
 
 
-Make = Callable[[TrainingData], Epochs]
+LoopFactory = Callable[[TrainingData], Epochs]
 
 
 class OurEpochs:
-    """The trainer's own epochs of one recipe, on so many threads."""
+    """A training loop with the trainer's own epochs of one recipe, on this number of threads."""
 
     def __init__(self, recipe: Recipe, threads: int, data: TrainingData) -> None:
         torch.set_num_threads(threads)
@@ -79,61 +79,61 @@ class OurEpochs:
         self.done += 1
 
     def figures(self) -> Evaluation:
-        """Of the test objects."""
+        """Return the figures of the test objects."""
         return evaluate(self.network, self.data.held_out)
 
 
-class Elsewhere:
-    """Loops in processes of their own, which train an epoch of each at once."""
+class LoopProcesses:
+    """Training loops in separate processes, which run an epoch of each at once."""
 
-    def __init__(self, folder: Path, loops: Sequence[Make]) -> None:
+    def __init__(self, folder: Path, loops: Sequence[LoopFactory]) -> None:
         spawn = multiprocessing.get_context("spawn")
-        self.lines: list[Connection] = []
+        self.connections: list[Connection] = []
         self.processes = []
         for loop in loops:
             ours, theirs = spawn.Pipe()
-            # not daemons, which may have no processes of their own: data loaders do
+            # not a daemon: daemons may not start the processes of data loaders
             process = spawn.Process(target=serve, args=(loop, folder, theirs))
             process.start()
-            self.lines.append(ours)
+            self.connections.append(ours)
             self.processes.append(process)
-        for line in self.lines:
-            line.recv()  # it has read the data
+        for connection in self.connections:
+            connection.recv()  # the data are read
 
     def step(self) -> None:
         """Train an epoch of each."""
         self._ask("step")
 
     def figures(self) -> list[Evaluation]:
-        """What they have learnt."""
+        """Return the held-out figures of each."""
         return self._ask("figures")
 
     def close(self) -> None:
-        """Let them end."""
-        for line in self.lines:
-            line.send("end")
+        """End the processes."""
+        for connection in self.connections:
+            connection.send("end")
         for process in self.processes:
             process.join()
 
-    def _ask(self, word: str) -> list[Any]:
-        for line in self.lines:
-            line.send(word)
-        return [line.recv() for line in self.lines]
+    def _ask(self, call: str) -> list[Any]:
+        for connection in self.connections:
+            connection.send(call)
+        return [connection.recv() for connection in self.connections]
 
 
-def serve(make: Make, folder: Path, line: Connection) -> None:
-    """Do what the line says, until it says to end."""
+def serve(make: LoopFactory, folder: Path, connection: Connection) -> None:
+    """Run the calls that the connection names, until it sends ``end``."""
     loop = make(TrainingData.of(different_objects(), ContextKind.INDICATOR, read_folder(folder)))
     answers: dict[str, Callable[[], Evaluation | None]] = {"step": loop.step, "figures": loop.figures}
-    line.send(None)
-    for word in iter(line.recv, "end"):
-        line.send(answers[word]())
+    connection.send(None)
+    for call in iter(connection.recv, "end"):
+        connection.send(answers[call]())
 
 
-def take_turns(
+def time_by_turns(
     loops: Mapping[str, Callable[[], object]], epochs: int, after: Callable[[int], None] = lambda epoch: None
 ) -> dict[str, list[float]]:
-    """Seconds of every epoch but the first, which warms up; ``after`` each round, untimed."""
+    """Return the seconds of every epoch but the first, which warms up. ``after`` runs after each round, untimed."""
     seconds: dict[str, list[float]] = {name: [] for name in loops}
     for epoch in range(epochs):
         for name, step in loops.items():
@@ -145,28 +145,28 @@ def take_turns(
 
 
 def compare(folder: Path, epochs: int) -> None:
-    """Ours against the literal loop: time and held-out figures."""
+    """Compare our loop with the literal one: time and held-out figures."""
     cores = torch.get_num_threads()
     alone = {precision: partial(OurEpochs, replace(RECIPE, precision=precision), cores) for precision in PRECISIONS}
     each = [partial(OurEpochs, replace(RECIPE, seed=seed), 1) for seed in range(cores)]
-    loops: dict[str, Sequence[Make]] = {
+    loops: dict[str, Sequence[LoopFactory]] = {
         LITERAL: [partial(LiteralEpochs, RECIPE, 0)],
         f"{LITERAL}, {PUBLISHED_WORKERS} processes load": [partial(LiteralEpochs, RECIPE, PUBLISHED_WORKERS)],
         **{f"ours, one run, {precision}": [loop] for precision, loop in alone.items()},
         f"ours, {cores} runs at once, {_default()}": each,
     }
-    places = {name: Elsewhere(folder, made) for name, made in loops.items()}
-    figures: dict[str, list[Evaluation]] = {name: [] for name in places}
+    processes = {name: LoopProcesses(folder, made) for name, made in loops.items()}
+    figures: dict[str, list[Evaluation]] = {name: [] for name in processes}
 
-    def look(epoch: int) -> None:
-        """Measure the last epochs; of several runs, the one with the seed of the others."""
+    def measure_last(epoch: int) -> None:
+        """Measure the last epochs. Of several runs, take the one with the seed of the others."""
         if epoch >= epochs - MEASURED_EPOCHS:
-            for name, place in places.items():
-                figures[name].append(place.figures()[0])
+            for name, process in processes.items():
+                figures[name].append(process.figures()[0])
 
-    seconds = take_turns({name: place.step for name, place in places.items()}, epochs, look)
-    for place in places.values():
-        place.close()
+    seconds = time_by_turns({name: process.step for name, process in processes.items()}, epochs, measure_last)
+    for process in processes.values():
+        process.close()
     of_one = {name: [time / len(loops[name]) for time in times] for name, times in seconds.items()}
     slow = statistics.median(of_one[LITERAL])
     print(f"FCN + CM, indicator, {epochs} epochs of each, by turns; this machine's default: {_default()}")
@@ -180,7 +180,7 @@ def compare(folder: Path, epochs: int) -> None:
 
 
 def compare_methods(epochs: int) -> None:
-    """The time of an epoch of every method with every context."""
+    """Print the time of an epoch of every method with every context."""
     cores = torch.get_num_threads()
     torch.manual_seed(0)
     inputs, targets = torch.randn(2, OBJECTS, PUSHES, 3)
@@ -191,7 +191,7 @@ def compare_methods(epochs: int) -> None:
             train = Samples(inputs, targets, torch.ones(OBJECTS, PUSHES), context, (1.0, 1.0, 1.0))
             recipe = replace(RECIPE, method=method.name, context=str(kind))
             loops[f"{method.name} | {kind}"] = OurEpochs(recipe, cores, TrainingData(train, train, {})).step
-    seconds = take_turns(loops, epochs)
+    seconds = time_by_turns(loops, epochs)
     print(f"{epochs} epochs of each, by turns, in {_default()}")
     print("| method | context | median s/epoch | fastest | 3000 epochs (min) |")
     print("|---|---|---|---|---|")
@@ -205,7 +205,7 @@ def _default() -> str:
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--epochs", type=int, default=20, help="epochs of each loop")
     parser.add_argument("--data", type=Path, default=Path("data/simulated/abs"), help="a folder of pushes")

@@ -1,1 +1,1 @@
-"""Servers that stand beside ours in ``benchmarks/serving.py``: each a script that takes a port."""
+"""Peer servers for ``benchmarks/serving.py``, each a script that takes a port."""

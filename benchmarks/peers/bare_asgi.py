@@ -1,4 +1,4 @@
-"""(c) A bare ASGI function that returns constant bytes: what the server itself costs."""
+"""Server (c): a bare ASGI function that returns constant bytes, to measure the cost of the server itself."""
 
 import sys
 
@@ -10,7 +10,7 @@ HEADERS = [(b"content-type", b"application/json"), (b"content-length", b"%d" % l
 
 
 async def app(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer."""
+    """Answer with constant bytes."""
     if scope["type"] == "http":
         await receive()
         await send({"type": "http.response.start", "status": 200, "headers": HEADERS})

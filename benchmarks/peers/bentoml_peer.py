@@ -1,6 +1,6 @@
-"""BentoML with the model, one worker: pip install bentoml onnxruntime numpy, in an environment of its own.
+"""Server with BentoML and the model, one worker: pip install bentoml onnxruntime numpy in its own environment.
 
-Its server is a process that watches over the worker, which imports this file by its name.
+Its server is a process that supervises the worker. The worker imports this file by its name.
 """
 
 import os
@@ -17,7 +17,7 @@ FOLDER = Path(__file__).resolve().parent
 
 @bentoml.service(workers=1)
 class Pushes:
-    """One push at a time."""
+    """A model that predicts one push at a time."""
 
     def __init__(self) -> None:
         """Load the model."""
@@ -26,9 +26,9 @@ class Pushes:
         model = FOLDER.parents[1] / "models/push-indicator/1/model.onnx"
         self._session = onnxruntime.InferenceSession(str(model), options)
 
-    @bentoml.api(route="/v1/predict")  # type: ignore[untyped-decorator]  # it is not installed where types are checked
+    @bentoml.api(route="/v1/predict")  # type: ignore[untyped-decorator]  # the peer is not installed where types are checked
     async def predict(self, pusher: dict[str, float], context: dict[str, Any]) -> dict[str, list[float]]:
-        """Predict."""
+        """Predict one push."""
         text, bits = context["descriptor"], np.zeros((1, 36), dtype=np.float32)
         for side in range(4):
             bits[0, 9 * side + "1234".index(text[2 * side])] = 1.0

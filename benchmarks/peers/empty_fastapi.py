@@ -1,4 +1,4 @@
-"""(a) An empty FastAPI endpoint with our schemas: parses the same request, renders the same answer."""
+"""Server (a): an empty FastAPI endpoint with our schemas. It parses the same request and renders the same answer."""
 
 import sys
 
@@ -21,7 +21,7 @@ app = FastAPI()
 
 @app.post("/v1/predict")
 async def predict(body: PredictRequest) -> PredictResponse:
-    """Predict nothing."""
+    """Return a constant answer."""
     return ANSWER
 
 

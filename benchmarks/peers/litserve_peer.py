@@ -1,4 +1,4 @@
-"""LitServe with the model, one worker: pip install litserve onnxruntime numpy, in an environment of its own."""
+"""Server with LitServe and the model, one worker: pip install litserve onnxruntime numpy in its own environment."""
 
 import sys
 from typing import Any
@@ -8,8 +8,8 @@ import numpy as np
 import onnxruntime
 
 
-class Pushes(litserve.LitAPI):  # type: ignore[misc]  # it is not installed where types are checked
-    """The life of a prediction, as LitServe has it."""
+class Pushes(litserve.LitAPI):  # type: ignore[misc]  # the peer is not installed where types are checked
+    """A prediction in the steps of LitServe."""
 
     def setup(self, device: str) -> None:
         """Load the model."""
@@ -18,7 +18,7 @@ class Pushes(litserve.LitAPI):  # type: ignore[misc]  # it is not installed wher
         self._session = onnxruntime.InferenceSession("models/push-indicator/1/model.onnx", options)
 
     def decode_request(self, request: dict[str, Any]) -> dict[str, Any]:
-        """JSON to arrays."""
+        """Convert JSON to arrays."""
         text, bits = request["context"]["descriptor"], np.zeros((1, 36), dtype=np.float32)
         for side in range(4):
             bits[0, 9 * side + "1234".index(text[2 * side])] = 1.0
@@ -28,11 +28,11 @@ class Pushes(litserve.LitAPI):  # type: ignore[misc]  # it is not installed wher
         return {"pusher": pusher, "context": bits, "context_index": np.zeros(1, dtype=np.int64)}
 
     def predict(self, feed: dict[str, Any]) -> Any:
-        """Run."""
+        """Run the model."""
         return self._session.run(("mean", "std"), feed)
 
     def encode_response(self, output: Any) -> dict[str, list[float]]:
-        """Arrays to JSON."""
+        """Convert arrays to JSON."""
         return {"mean": output[0][0].tolist(), "std": output[1][0].tolist()}
 
 

@@ -1,7 +1,7 @@
-"""MLServer with the model, in process: pip install mlserver onnxruntime numpy, in an environment of its own.
+"""Server with MLServer and the model, in process: pip install mlserver onnxruntime numpy in its own environment.
 
-Its own protocol has other bodies; asked here is a route that its ``custom_handler`` adds to the same REST server. Its
-gRPC server cannot be left out: it listens on a port of its own, and nobody asks it.
+Its own protocol has other bodies, so the benchmark uses a route that its ``custom_handler`` adds to the same REST
+server. Its gRPC server cannot be switched off. It listens on another port and gets no requests.
 """
 
 import asyncio
@@ -16,8 +16,8 @@ from mlserver.handlers import custom_handler
 from mlserver.server import MLServer
 
 
-class Pushes(mlserver.MLModel):  # type: ignore[misc]  # it is not installed where types are checked
-    """One push at a time."""
+class Pushes(mlserver.MLModel):  # type: ignore[misc]  # the peer is not installed where types are checked
+    """A model that predicts one push at a time."""
 
     async def load(self) -> bool:
         """Load the model."""
@@ -28,7 +28,7 @@ class Pushes(mlserver.MLModel):  # type: ignore[misc]  # it is not installed whe
 
     @custom_handler(rest_path="/v1/predict")  # type: ignore[untyped-decorator]
     async def push(self, request: dict[str, Any]) -> dict[str, list[float]]:
-        """Predict."""
+        """Predict one push."""
         text, bits = request["context"]["descriptor"], np.zeros((1, 36), dtype=np.float32)
         for side in range(4):
             bits[0, 9 * side + "1234".index(text[2 * side])] = 1.0
@@ -41,7 +41,7 @@ class Pushes(mlserver.MLModel):  # type: ignore[misc]  # it is not installed whe
 
 
 async def serve(port: int) -> None:
-    """Serve until told to stop."""
+    """Serve on a port until the process ends."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         grpc_port = probe.getsockname()[1]

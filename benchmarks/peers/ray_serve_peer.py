@@ -1,7 +1,7 @@
-"""Ray Serve with the model, one replica: pip install 'ray[serve]' onnxruntime numpy, in an environment of its own.
+"""Server with Ray Serve and the model, one replica: pip install 'ray[serve]' onnxruntime numpy in its own environment.
 
-It starts several processes (scheduler, controller, proxy, replica); all of them are counted. Left alone it takes the
-machine for a part of a cluster and listens on every address; here on 127.0.0.1 only.
+It starts several processes (scheduler, controller, proxy, replica), and all of them are counted. By default it listens
+on every address, as a part of a cluster. Here it listens on 127.0.0.1 only.
 """
 
 import importlib
@@ -22,7 +22,7 @@ MODEL = os.path.realpath("models/push-indicator/1/model.onnx")
 
 
 class Pushes:
-    """One push at a time."""
+    """A model that predicts one push at a time."""
 
     def __init__(self, model: str) -> None:
         """Load the model."""
@@ -31,7 +31,7 @@ class Pushes:
         self._session = onnxruntime.InferenceSession(model, options)
 
     async def __call__(self, request: Request) -> dict[str, list[float]]:
-        """Predict."""
+        """Predict one push."""
         document = await request.json()
         text, bits = document["context"]["descriptor"], np.zeros((1, 36), dtype=np.float32)
         for side in range(4):
@@ -45,7 +45,7 @@ class Pushes:
 
 
 def stay_on_this_machine() -> None:
-    """Make a replica's own gRPC server, which has no setting for it, listen on 127.0.0.1."""
+    """Make a replica's gRPC server listen on 127.0.0.1, for which it has no setting."""
     replica: Any = importlib.import_module("ray.serve._private.replica")
     add_port = replica.add_port_to_grpc_server
     replica.add_port_to_grpc_server = lambda server, _: add_port(server, "127.0.0.1:0")
@@ -54,7 +54,9 @@ def stay_on_this_machine() -> None:
 if __name__ == "__main__":
     environment = {"worker_process_setup_hook": stay_on_this_machine}
     ray.init(address="local", num_cpus=1, include_dashboard=False, log_to_driver=False, runtime_env=environment)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit())  # ray's own handler aborts; at exit it ends what it started
+    signal.signal(
+        signal.SIGTERM, lambda *_: sys.exit()
+    )  # ray's own handler aborts; sys.exit ends the processes that it started
     serve.start(http_options={"host": "127.0.0.1", "port": int(sys.argv[1])})
     one_replica = serve.deployment(num_replicas=1, ray_actor_options={"num_cpus": 1})(Pushes)
     serve.run(one_replica.bind(MODEL), route_prefix="/v1/predict")

@@ -1,4 +1,4 @@
-"""Robyn with the model, one process and worker: pip install robyn onnxruntime numpy, in an environment of its own."""
+"""Server with Robyn and the model, one process: pip install robyn onnxruntime numpy in its own environment."""
 
 import json
 import sys
@@ -13,9 +13,9 @@ session = onnxruntime.InferenceSession("models/push-indicator/1/model.onnx", opt
 app = Robyn(__file__)
 
 
-@app.post("/v1/predict")  # type: ignore[untyped-decorator]  # it is not installed where types are checked
+@app.post("/v1/predict")  # type: ignore[untyped-decorator]  # the peer is not installed where types are checked
 async def predict(request: Request) -> dict[str, list[float]]:
-    """Predict."""
+    """Predict one push."""
     document = json.loads(request.body)
     text, bits = document["context"]["descriptor"], np.zeros((1, 36), dtype=np.float32)
     for side in range(4):

@@ -1,4 +1,4 @@
-"""(b) What one writes in thirty lines: FastAPI and onnxruntime, no checks, no limits, no log."""
+"""Server (b): FastAPI and onnxruntime in thirty lines, without checks, limits and log."""
 
 import sys
 
@@ -15,7 +15,7 @@ app = FastAPI()
 
 
 class Push(BaseModel):
-    """One push of one object."""
+    """A push of one object."""
 
     pusher: dict[str, float]
     context: dict[str, str]
@@ -23,7 +23,7 @@ class Push(BaseModel):
 
 @app.post("/v1/predict")
 async def predict(push: Push) -> dict[str, list[float]]:
-    """Predict."""
+    """Predict one push."""
     text, bits = push.context["descriptor"], np.zeros((1, 36), dtype=np.float32)
     for side in range(4):
         bits[0, 9 * side + "1234".index(text[2 * side])] = 1.0
