@@ -20,7 +20,7 @@ from service.observability.records import RequestRecord
 from service.observability.timings import Timings
 
 ROUNDS, SECONDS, CONNECTIONS = 20, 2, 16
-LINES = 10_000
+RECORDS = 10_000
 
 
 def serve_uncounted() -> None:
@@ -47,7 +47,7 @@ def measure_services() -> dict[str, list[WrkFigures]]:
     return runs
 
 
-def pushed() -> RequestRecord:
+def single_push_record() -> RequestRecord:
     """Return the record of a single push."""
     timings: Timings = [("inference", 1e-5)]
     answered = {"model": "push-indicator", "version": 1, "pushes": 1, "status": 200, "duration_s": 1e-4}
@@ -56,11 +56,11 @@ def pushed() -> RequestRecord:
 
 def counting_s(metrics: RequestMetrics) -> float:
     """Return the time of counting one push by itself, in s."""
-    records = [pushed() for _ in range(LINES)]
+    records = [single_push_record() for _ in range(RECORDS)]
     began = time.perf_counter()
     for record in records:
         metrics.note(record)
-    return (time.perf_counter() - began) / LINES
+    return (time.perf_counter() - began) / RECORDS
 
 
 def main() -> None:
