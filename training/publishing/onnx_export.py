@@ -1,4 +1,8 @@
-"""Export of a fitted network to ONNX."""
+"""ONNX export of a fitted network.
+
+The graph takes and gives SI units, so the published normalisation is inside it. Contexts are encoded once per object
+and gathered per push.
+"""
 
 import logging
 import warnings
@@ -14,13 +18,13 @@ from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from training.networks.angles import wrapped
 from training.networks.push_network import PushNetwork
 from training.omnipush.published import published_normalisation
-from training.publishing.parity_inputs import feed, probe_batch
+from training.publishing.parity_inputs import graph_inputs, plausible_batch
 
 OPSET: Final = 18
 
 
 class ServedNetwork(nn.Module):
-    """A fitted network with SI units in and out, as the contract's ONNX interface has it."""
+    """Network with SI units in and out, as the ONNX interface of push models has it."""
 
     def __init__(self, network: PushNetwork) -> None:
         super().__init__()
@@ -34,14 +38,14 @@ class ServedNetwork(nn.Module):
     def forward(
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """Mean and std (n, 3) of pushes (n, 3) of the objects ``context[context_index]``."""
-        mean, std = self.unwrapped(pusher, context, context_index)
+        """Predict mean and std (n, 3) of pushes (n, 3) of the objects ``context[context_index]``."""
+        mean, std = self.before_wrapping(pusher, context, context_index)
         return wrap_last(mean), std
 
-    def unwrapped(
+    def before_wrapping(
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
-        """The same with the angle as the network gives it: rounding is in proportion to this one."""
+        """Predict like ``forward``, with the mean angle before wrapping, to which rounding errors are in proportion."""
         conditioning = None
         if context is not None and context_index is not None:
             conditioning = self.network.conditioning(context)  # (g, 256): once per object
@@ -51,22 +55,26 @@ class ServedNetwork(nn.Module):
 
 
 def wrap_last(pose: Tensor) -> Tensor:
-    """Poses (n, 3) with their angle in (-pi, pi]."""
+    """Wrap the angle of poses (n, 3) to (-pi, pi]."""
     position, angle = torch.split(pose, [2, 1], dim=-1)
     return torch.cat([position, wrapped(angle)], dim=-1)
 
 
 def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
-    """The network as an ONNX graph in one file, without a trace of the machine that made it."""
+    """Export a network as an ONNX graph in one file, without a trace of the machine that made it.
+
+    Raises:
+        PublishError: torch gave no ONNX program.
+    """
     served = ServedNetwork(network).eval()
-    example = probe_batch(kind, pushes=3, objects=2)
-    arguments = tuple(torch.from_numpy(array) for array in feed(example, kind))
+    example = plausible_batch(kind, pushes=3, objects=2)
+    arguments = tuple(torch.from_numpy(array) for array in graph_inputs(example, kind))
     names = [tensor.name for tensor in expected_inputs(kind)]
     pushes, objects = torch.export.Dim("n"), torch.export.Dim("g")
     free = {"pusher": {0: pushes}, "context": {0: objects}, "context_index": {0: pushes}}
-    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # it warns of operators that are not installed or used
+    logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # its warnings are about operators that are not used
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what torch deprecates in itself; parity is checked below
+        warnings.simplefilter("ignore")  # deprecations inside torch
         program = torch.onnx.export(
             served,
             arguments,
@@ -86,7 +94,7 @@ def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
 
 
 def strip_origin(model: onnx.ModelProto) -> None:
-    """Remove source lines and paths of the exporting machine that torch writes into the graph."""
+    """Remove the source lines and paths of the exporting machine that torch writes into a graph."""
     del model.metadata_props[:]
     model.doc_string = ""
     model.graph.doc_string = ""

@@ -1,7 +1,7 @@
-"""Torch to ONNX, parity checked, published: the trainer's last step and the only one that touches the registry.
+"""Publication of a fitted network: measure, export, check parity, and publish a version.
 
-The graph takes and gives SI units, so the published normalisation is inside it; contexts are encoded once per object
-and gathered per push. Before anything is published, onnxruntime must agree with torch on random and on extreme inputs.
+It is the trainer's last step, and the only one that writes to a registry. Before a version becomes visible, onnxruntime
+must agree with torch on plausible and on extreme inputs.
 """
 
 import math
@@ -26,9 +26,9 @@ from training.omnipush.pushes import Pushes
 from training.publishing.card import render_card
 from training.publishing.onnx_export import export_onnx
 from training.publishing.parity import check_parity
-from training.publishing.parity_inputs import probe_batch
+from training.publishing.parity_inputs import plausible_batch
 
-SELF_CHECK_TOLERANCE: Final = 1e-4  # across processors and runtime versions: a tenth of a millimetre
+SELF_CHECK_TOLERANCE: Final = 1e-4  # a tenth of a millimetre, across processors and versions of the runtime
 
 
 def publish(
@@ -41,16 +41,22 @@ def publish(
 ) -> Manifest:
     """Measure, export, check and publish a fitted network as the next version of the recipe's model.
 
-    ``image_convention`` says how the views were taken that a visual model was trained on. Of a recipe that holds no
-    object out, ``measured`` is the same recipe and its network on a set-up that does: the figures are theirs.
+    Args:
+        recipe: of the network.
+        network: the fitted network.
+        pushes: of all objects of the recipe's split.
+        registry: receives the version.
+        image_convention: of the views that a visual model was trained on.
+        measured: for a recipe that holds no object out, the same recipe with a set-up that does, and its network. The
+            figures of the version are then theirs.
 
     Raises:
-        PublishError: the graph disagrees with torch, or the disk refused; nothing became visible.
-        DataError: the data lack objects of the split, the method is not one to serve, or nothing was held out.
+        PublishError: the graph disagrees with torch, or the disk refused. No version became visible.
+        DataError: the data lack objects of the split, the method is not served, or no object was held out.
     """
     kind, split = recipe.context_kind, recipe.split()
-    judged, judge = (recipe, network) if measured is None else measured
-    set_up = _measured_split(recipe, judged)
+    measured_recipe, measured_network = measured or (recipe, network)
+    set_up = _measured_split(recipe, measured_recipe)
     if not isinstance(network, PushNetwork) or set_up.test_surface is not None:
         raise DataError(
             f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
@@ -58,7 +64,7 @@ def publish(
         )
     train, held_out = pushes.select(split.train), pushes.select(set_up.test)
     samples = Samples.of(held_out, kind)
-    found = evaluate(judge, samples)
+    found = evaluate(measured_network, samples)
     if not math.isfinite(found.nll):
         raise PublishError("the network's held-out figures are not finite; nothing was published")
     model = export_onnx(network, kind)
@@ -98,14 +104,18 @@ def _data_record(pushes: Pushes, split: Split, train: Pushes, held_out: Pushes) 
     )
 
 
-def _measured_split(recipe: Recipe, judged: Recipe) -> Split:
-    """The set-up on which the figures of a version are measured, which must be of the same recipe."""
-    if replace(judged, set_up=recipe.set_up) != recipe:
-        raise DataError(f"the run of {judged.name} that was measured is of another recipe; only set_up may differ")
-    set_up = judged.split()
+def _measured_split(recipe: Recipe, measured: Recipe) -> Split:
+    """Return the split on which a version is measured.
+
+    Raises:
+        DataError: the measured run is of another recipe, or it held no object out.
+    """
+    if replace(measured, set_up=recipe.set_up) != recipe:
+        raise DataError(f"the run of {measured.name} that was measured is of another recipe; only set_up may differ")
+    set_up = measured.split()
     if not set_up.test:
         raise DataError(
-            f"{recipe.name} was trained on every object, so no figure of its own would be honest; train the same "
+            f"{recipe.name} was trained on every object, so it has no held-out objects to measure; train the same "
             "recipe with --set-up different-objects, and publish with --measured and the folder of that run"
         )
     return set_up
@@ -117,9 +127,9 @@ def _calibration(found: Evaluation) -> Calibration:
 
 
 def _self_check(model: bytes, kind: ContextKind, samples: Samples) -> SelfCheck:
-    """A small batch with the answers of the graph itself, for every later load; its views are turned by the gates."""
-    batch = probe_batch(kind, pushes=4, objects=2, seed=4)
-    if kind is ContextKind.VISUAL:  # of objects that exist: what symmetry a network learnt holds for those
+    """Return a small batch with the graph's own outputs, which every load compares with. Gates turn its views."""
+    batch = plausible_batch(kind, pushes=4, objects=2, seed=4)
+    if kind is ContextKind.VISUAL:  # of real objects: a network learns the symmetry of those
         batch = replace(batch, context=samples.context[:2].numpy())
     mean, std = OnnxPredictor(model, expected_inputs(kind), OUTPUTS).predict(
         batch.pusher, batch.context, batch.context_index
