@@ -1,7 +1,7 @@
-"""The paper's experiments as data: what each trains and tests, what its tables say, and what the paper claims of them.
+"""The paper's experiments as data: their cells, their tables with the paper's figures, and the paper's claims.
 
-A table is a set-up and a kind of context; its rows are methods. A cell is what is trained: a method with its context on
-a set-up. ANP and FCN know no context, so the tables of one set-up share their cells, in the paper as here.
+A table is a set-up and a kind of context. Its rows are methods. A cell is a method with its context on a set-up, and is
+trained once per seed. ANP and FCN take no context, so the tables of one set-up share their cells, as in the paper.
 The paper's own figures are in ``paper_tables.toml``.
 """
 
@@ -34,13 +34,13 @@ INDICATOR: Final = str(ContextKind.INDICATOR)
 VISUAL: Final = str(ContextKind.VISUAL)
 KERNEL_PARAMETERS: Final = "kernel parameters"
 CAZSL: Final = (FCN_CM, FCN_CM_L2REG, FCN_CM_NEURALREG)
-# the two sub-cases in which the paper itself finds its meta-learning baseline ahead
+# the two sub-cases in which the paper's meta-learning baseline is best
 ANP_WINS: Final = (("different-weights-1", INDICATOR), ("different-weights-2", INDICATOR))
 
 
 @dataclass(frozen=True)
 class Cell:
-    """What is trained: a method on a set-up, given a kind of context."""
+    """Cell: a method on a set-up, given a kind of context."""
 
     set_up: str
     method: str
@@ -48,14 +48,14 @@ class Cell:
 
     @property
     def slug(self) -> str:
-        """A name for folders, of lower-case letters, digits and '-'."""
+        """Return a name for folders, of lower-case letters, digits and '-'."""
         words = f"{self.method} {self.context}" if self.context != NONE else self.method
         return "-".join(words.lower().replace("+", " ").split())
 
 
 @dataclass(frozen=True)
 class PaperFigures:
-    """A row of a table of the paper, normalised units; the regression has no distance."""
+    """Figures of a row of a table of the paper, in normalised units. The regression has no distance."""
 
     rmse: float
     std: float
@@ -63,16 +63,16 @@ class PaperFigures:
 
 
 class Rule(StrEnum):
-    """How the errors of two groups of cells are compared."""
+    """Rule for comparing the errors of two groups of cells."""
 
-    ALL = "all"  # every lower one is below every higher one
-    BEST = "best"  # the lowest of the lower ones is below the lowest of the higher ones
-    EACH = "each"  # the first below the first, the second below the second
+    ALL = "all"  # every lower cell is below every higher cell
+    BEST = "best"  # the best of the lower cells is below the best of the higher cells
+    EACH = "each"  # the first is below the first, the second below the second
 
 
 @dataclass(frozen=True)
 class Claim:
-    """What the paper says of the errors (RMSE) in a table."""
+    """Claim of the paper about the errors (RMSE) in a table."""
 
     text: str
     lower: tuple[Cell, ...]
@@ -80,7 +80,7 @@ class Claim:
     rule: Rule = Rule.ALL
 
     def holds(self, rmse: Mapping[Cell, float]) -> bool:
-        """Whether these errors bear it out."""
+        """Return whether the claim holds for these errors."""
         lower, higher = [rmse[cell] for cell in self.lower], [rmse[cell] for cell in self.higher]
         if self.rule is Rule.EACH:
             return all(low < high for low, high in zip(lower, higher, strict=True))
@@ -89,7 +89,7 @@ class Claim:
 
 @dataclass(frozen=True)
 class Table:
-    """A table of the paper, or that part of one which has one set-up and one kind of context."""
+    """Table of the paper, or the part of one with a single set-up and kind of context."""
 
     set_up: str
     context: str
@@ -98,17 +98,17 @@ class Table:
 
     @property
     def title(self) -> str:
-        """A heading: set-up and context in words."""
+        """Return the heading: set-up and context in words."""
         return f"{self.set_up.replace('-', ' ').capitalize()}, context: {self.context}"
 
     def cell(self, method: str) -> Cell:
-        """What is trained for a row."""
+        """Return the cell of a row."""
         return cell(self.set_up, method, self.context)
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One command: its tables, and how often and how long each cell is trained."""
+    """Experiment: tables that one command reproduces, with the number of seeds and epochs of each cell."""
 
     name: str
     tables: tuple[Table, ...]
@@ -117,15 +117,15 @@ class Experiment:
     batch_objects: int
     lambdas: Mapping[str, tuple[float, float]]  # by kind of context
     precision: str
-    cooling_epochs: int = 0  # over which the rate falls to nothing at the end; the paper's is constant
+    cooling_epochs: int = 0  # last epochs, over which the rate falls to 0 (the paper's is constant)
 
     @property
     def cells(self) -> tuple[Cell, ...]:
-        """Everything that is trained, once each, in the order of the tables."""
+        """Return the distinct cells, in the order of the tables."""
         return tuple(dict.fromkeys(table.cell(method) for table in self.tables for method in table.paper))
 
     def without(self, methods: Collection[str]) -> "Experiment":
-        """The same without the rows of these methods, and without the claims that need them."""
+        """Return the experiment without the rows of these methods and without the claims that need them."""
         left = []
         for table in self.tables:
             gone = {table.cell(method) for method in table.paper if method in methods}
@@ -135,13 +135,13 @@ class Experiment:
         return replace(self, tables=tuple(left))
 
     def recipe(self, wanted: Cell, seed: int, epochs: int | None = None) -> Recipe:
-        """The training of a cell, as the paper has it."""
+        """Return the recipe of a cell, as the paper trains it."""
         method = METHODS[wanted.method]
         lambda_1 = lambda_2 = 0.0
         if method.distance is not ContextDistance.NONE:
             lambda_1, lambda_2 = self.lambdas[wanted.context]
         if method.distance is ContextDistance.KERNEL:
-            lambda_2 = 1.0  # phi learns the scale
+            lambda_2 = 1.0  # the trained phi includes the scale
         return Recipe(
             name=wanted.slug,
             method=wanted.method,
@@ -160,12 +160,12 @@ class Experiment:
 
 
 def cell(set_up: str, method: str, context: str) -> Cell:
-    """The cell of a method: without use for a context it has none."""
+    """Return the cell of a method. Methods that use no context have kind ``none``."""
     return Cell(set_up, method, NONE if METHODS[method].context_use is ContextUse.NONE else context)
 
 
 def experiments() -> dict[str, Experiment]:
-    """All of the paper's, by name, in its order."""
+    """Return all experiments of the paper by name, in its order."""
     text = resources.files("training.paper").joinpath("paper_tables.toml").read_text(encoding="utf-8")
     tables = tuple(
         _table(set_up, context, {method: PaperFigures(*figures) for method, figures in rows.items()})
@@ -174,7 +174,7 @@ def experiments() -> dict[str, Experiment]:
     )
 
     def of(name: str) -> tuple[Table, ...]:
-        """The tables of one experiment: its set-up, or its three."""
+        """Return the tables of one experiment, which has one set-up or three."""
         return tuple(table for table in tables if table.set_up.startswith(name))
 
     return {

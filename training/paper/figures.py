@@ -1,4 +1,4 @@
-"""The raw figures of a reproduction as JSON, and back: what was trained in another place or week need not be again."""
+"""Raw figures of a reproduction: written as JSON, and read back so that known runs are not trained again."""
 
 import json
 import platform
@@ -19,7 +19,7 @@ FIGURES_FILE: Final = "figures.json"
 
 
 def raw_figures(experiment: Experiment, command: str, seeds: int, epochs: int, results: Sequence[Result]) -> str:
-    """Every figure of every run as JSON, with what made it."""
+    """Render every figure of every run as JSON, with the command, code and machine that made them."""
     document: dict[str, Any] = {
         "experiment": experiment.name,
         "command": command,
@@ -35,10 +35,10 @@ def raw_figures(experiment: Experiment, command: str, seeds: int, epochs: int, r
 
 
 def read_figures(path: Path, experiment: Experiment, epochs: int) -> dict[tuple[Cell, int], Result]:
-    """The runs of an earlier reproduction of this experiment, by cell and seed.
+    """Read the results of an earlier reproduction of this experiment, by cell and seed.
 
     Raises:
-        DataError: it is none, or of another experiment, number of epochs, cooling or version of the code.
+        DataError: the file holds no figures, or those of another experiment, number of epochs, cooling or code version.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
@@ -48,7 +48,7 @@ def read_figures(path: Path, experiment: Experiment, epochs: int) -> dict[tuple[
         )
         results = [_result(run) for run in document["runs"]]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise DataError(f"{path} holds no figures of a reproduction; name a {FIGURES_FILE} that one wrote") from error
+        raise DataError(f"{path} holds no figures of a reproduction; give a {FIGURES_FILE} that one wrote") from error
     wanted = (experiment.name, epochs, service.__version__, experiment.cooling_epochs)
     if found != wanted:
         words = "{}, {} epochs, code {}, cooled over {} epochs".format

@@ -1,15 +1,15 @@
-"""The data of the paper's regression (section IV-A): one-step prediction of Gaussian processes, the kernel as context.
+"""Data of the paper's regression (section IV-A): one-step prediction of Gaussian processes, with the kernel as context.
 
 A parameter set is a scale xi and a bandwidth l, both uniform on (0.1, 10), of the kernel
 ``K(a, b) = xi^2 exp(-(a - b)^2 / (2 l))``. Each gives one path z of 23 points, that is 20 samples of three past values
-and the next. What the paper leaves open:
+and the next. Choices that the paper leaves open:
 
-- The time step is 0.3. Three past values then leave open a standard deviation of 0.002 xi (l = 10), 0.006 xi (l = 5) or
-  0.7 xi (l = 0.1): they predict the next of nearly all processes, and how well depends on the context.
-- Values are in units of the training set's standard deviation, about 5.8, as pushes are normalised; errors too.
-  Contexts are xi and l as they are. With values as they are, no method trains at the paper's learning rate.
-- A batch is 32 of the 4000 samples, not 32 parameter sets with all their samples: these are 18 times fewer steps, and
-  last epochs scatter by more than methods differ (``docs/log.md``).
+- The time step is 0.3. Three past values then leave a standard deviation of 0.002 xi (l = 10), 0.006 xi (l = 5) or
+  0.7 xi (l = 0.1). They predict the next value of nearly all processes, and the error depends on the context.
+- Values and errors are in units of the training set's standard deviation, about 5.8, as pushes are normalised. With raw
+  values no method trains at the paper's learning rate. Contexts are raw xi and l.
+- A batch is 32 of the 4000 samples. Batches of 32 parameter sets with all their samples would be 18 times fewer steps,
+  and the errors of the last epochs scatter by more than methods differ (``docs/log.md``).
 """
 
 import hashlib
@@ -33,7 +33,7 @@ Array = npt.NDArray[np.float64]
 
 
 def draw_training_data(repeat: int) -> TrainingData:
-    """One simulation: 4000 training samples of 200 parameter sets, 400 test samples of 20 others."""
+    """Draw one simulation: 4000 training samples of 200 parameter sets, 400 test samples of 20 others."""
     rng = np.random.default_rng(repeat)
     drawn = [draw_sets(rng, count) for count in (TRAIN_SETS, TEST_SETS)]
     digest = hashlib.sha256(b"".join(array.tobytes() for arrays in drawn for array in arrays)).hexdigest()
@@ -43,13 +43,13 @@ def draw_training_data(repeat: int) -> TrainingData:
 
 
 def draw_sets(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Parameter sets (count, 2) of xi and l, and a path of each, (count, 23)."""
+    """Draw parameter sets (count, 2) of xi and l, and a path of each, (count, 23)."""
     parameters = rng.uniform(LOWEST, HIGHEST, (count, 2))
     return parameters, draw_paths(rng, parameters)
 
 
 def covariance(parameters: Array, times: Array) -> Array:
-    """K of each parameter set at these times, (sets, times, times)."""
+    """Compute the covariance K of each parameter set at these times, (sets, times, times)."""
     scale, bandwidth = parameters[:, 0, None, None], parameters[:, 1, None, None]
     squared = (times[:, None] - times[None, :]) ** 2
     result: Array = scale**2 * np.exp(-squared / (2.0 * bandwidth))
@@ -57,9 +57,9 @@ def covariance(parameters: Array, times: Array) -> Array:
 
 
 def draw_paths(rng: np.random.Generator, parameters: Array) -> Array:
-    """A path of each parameter set, (sets, 23).
+    """Draw a path of each parameter set, (sets, 23).
 
-    K is singular to rounding where the bandwidth is large; its eigenvectors give a root where Cholesky has none.
+    For a large bandwidth K is singular up to rounding. Its eigenvectors give a root where Cholesky fails.
     """
     times = TIME_STEP * np.arange(POINTS, dtype=np.float64)
     values, vectors = np.linalg.eigh(covariance(parameters, times))
@@ -69,7 +69,7 @@ def draw_paths(rng: np.random.Generator, parameters: Array) -> Array:
 
 
 def samples_of(parameters: Array, paths: Array, unit: float = 1.0) -> Samples:
-    """Windows of each path: inputs z[t-2], z[t-1], z[t], target z[t+1], context xi and l; ``unit`` is what 1 means."""
+    """Cut paths into windows: inputs z[t-2], z[t-1], z[t], target z[t+1], context xi and l. ``unit`` is that of z."""
     windows = np.lib.stride_tricks.sliding_window_view(paths, HISTORY + 1, axis=1)  # (sets, 20, 4)
     valid = np.ones(windows.shape[:2])
     return Samples.of_arrays(windows[..., :HISTORY], windows[..., HISTORY:], valid, parameters, (unit,))

@@ -1,8 +1,8 @@
-"""What a reproduction found, beside the paper: tables in its shape, its claims, a plot, and the raw figures.
+"""Report of a reproduction: the paper's figures beside ours, the paper's claims, a plot, and the raw figures.
 
-Every figure of ours is a mean over seeds; what stands behind the sign is their standard deviation. A report names its
-data, says whether they are simulated, and gives the command that makes it again. It is written after every run, so that
-days of training can be watched: rows that have no run yet are empty, claims that need them are open.
+Each of our figures is a mean over seeds, followed by ± and their standard deviation. A report names its data, states
+whether they are simulated, and gives the command that repeats it. It is written after every run, so that days of
+training can be followed: rows without a run are empty, and claims that need them are open.
 """
 
 import statistics
@@ -29,25 +29,25 @@ OPEN: Final = "open"
 
 @dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation over seeds; a single one has no deviation, which is not one of nothing."""
+    """Spread over seeds: mean and standard deviation. A single seed has no deviation, which differs from one of 0."""
 
     mean: float
     std: float | None = None
 
     @classmethod
     def of(cls, values: Sequence[float]) -> "Spread":
-        """Of one value per seed."""
+        """Compute the spread of one value per seed."""
         return cls(statistics.fmean(values), statistics.stdev(values) if len(values) > 1 else None)
 
     def text(self, digits: int, scale: float = 1.0) -> str:
-        """For a table."""
+        """Render the spread for a table."""
         spread = "" if self.std is None else f" ± {scale * self.std:.{digits}f}"
         return f"{scale * self.mean:.{digits}f}{spread}"
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """An experiment with its results, and how they were made."""
+    """Reproduction of an experiment: its results, and the command that made them."""
 
     experiment: Experiment
     results: Sequence[Result]
@@ -57,11 +57,11 @@ class Reproduction:
 
     @property
     def runs(self) -> int:
-        """How many there are when all are done."""
+        """Return the number of runs of the finished reproduction."""
         return self.seeds * len(self.experiment.cells)
 
     def spread(self, cell: Cell, figure: Callable[[Evaluation], float], leaked: bool = False) -> Spread | None:
-        """A figure of a cell over its seeds, as far as they are done; nothing where none is."""
+        """Return the spread of a cell's figure over its finished seeds, None if there is none."""
         found = [result.leaked if leaked else result.found for result in self.results if result.cell == cell]
         values = [figure(evaluation) for evaluation in found if evaluation is not None]
         return Spread.of(values) if values else None
@@ -70,12 +70,12 @@ class Reproduction:
 def writer(
     experiment: Experiment, seeds: int, epochs: int, command: str, folder: Path
 ) -> Callable[[Sequence[Result]], Path]:
-    """Who writes the report of as many results as there are; given them, the report's path."""
+    """Return a function that writes the report of the results so far, and returns its path."""
     return lambda results: write_report(Reproduction(experiment, results, seeds, epochs, command), folder)
 
 
 def write_report(made: Reproduction, folder: Path) -> Path:
-    """Write the Markdown report, the plot and the raw figures; the report's path."""
+    """Write the Markdown report, the plot and the raw figures. Return the path of the report."""
     folder.mkdir(parents=True, exist_ok=True)
     raw = raw_figures(made.experiment, made.command, made.seeds, made.epochs, made.results)
     (folder / FIGURES_FILE).write_text(raw, encoding="utf-8")
@@ -86,7 +86,7 @@ def write_report(made: Reproduction, folder: Path) -> Path:
 
 
 def render(made: Reproduction) -> str:
-    """The report."""
+    """Render the report as Markdown."""
     tables = [
         f"## {table.title}\n\n{_table(made, table)}\n\n{_claims(made, table)}\n" for table in made.experiment.tables
     ]
@@ -103,17 +103,15 @@ def _heading(made: Reproduction) -> str:
     left = f", {still_open} open" if still_open else ""
     done = "" if len(made.results) == made.runs else f"**Not finished: {len(made.results)} of {made.runs} runs.** "
     cooled = made.experiment.cooling_epochs
-    cooling = (
-        f" The learning rate falls to nothing over the last {cooled} epochs; the paper's does not." if cooled else ""
-    )
+    cooling = f" The learning rate falls to 0 over the last {cooled} epochs; the paper's is constant." if cooled else ""
     shorter = "" if made.epochs == made.experiment.epochs else f" (the paper: {made.experiment.epochs})"
     return f"""# {made.experiment.name}
 
 Data of every figure marked *ours*: **{"; ".join(sources)}**.
-The paper's figures are from its own data, which are not these: compare the order of the methods, not the digits.
+The paper's figures are from other data: compare the order of the methods, not the digits.
 
 {done}{held} of the paper's {len(verdicts)} claims hold{left}. {_seeds(made)} per row, {made.epochs} epochs{shorter},
-{hours} of training on {devices}.{cooling} To make this again:
+{hours} of training on {devices}.{cooling} To repeat it:
 
 ```sh
 {made.command}
@@ -124,7 +122,7 @@ The paper's figures are from its own data, which are not these: compare the orde
 
 
 def _seeds(made: Reproduction) -> str:
-    """How many a row has; while some are missing, the fewest and the most, of how many."""
+    """Render the number of seeds per row. While runs are missing, render the least and the greatest number so far."""
     wanted = "1 seed" if made.seeds == 1 else f"{made.seeds} seeds"
     done = Counter(result.cell for result in made.results)
     least, most = (pick(done[cell] for cell in made.experiment.cells) for pick in (min, max))
@@ -134,25 +132,25 @@ def _seeds(made: Reproduction) -> str:
 
 
 def _hours(results: Sequence[Result]) -> str:
-    """What the runs took by the clock, others' turns included; and of processors, where all tell."""
+    """Render the time of the runs by the clock, and their processor time if all of them record it."""
     hours = sum(float(result.cost["seconds"]) for result in results) / 3600.0
-    told = [float(result.cost["processor_s"]) for result in results if "processor_s" in result.cost]
-    processor = f" ({sum(told) / 3600.0:.1f} of processor time)" if len(told) == len(results) else ""
+    recorded = [float(result.cost["processor_s"]) for result in results if "processor_s" in result.cost]
+    processor = f" ({sum(recorded) / 3600.0:.1f} of processor time)" if len(recorded) == len(results) else ""
     return f"{hours:.1f} hours{processor}"
 
 
 def _table(made: Reproduction, table: Table) -> str:
-    """The paper's rows and columns, each with ours beside it."""
-    far = any(figures.distance_mm is not None for figures in table.paper.values())
-    names = ["RMSE", "STD", *(["Dist. (mm)"] if far else [])]
-    columns = [f"{name} {whose}" for name in names for whose in ("paper", "ours")] + ["NLL", "90 % coverage"]
+    """Render the paper's rows and columns, each with our figures beside it."""
+    has_distance = any(figures.distance_mm is not None for figures in table.paper.values())
+    names = ["RMSE", "STD", *(["Dist. (mm)"] if has_distance else [])]
+    columns = [f"{name} {source}" for name in names for source in ("paper", "ours")] + ["NLL", "90 % coverage"]
     lines = [_row(["", *columns]), _row(["---"] * (1 + len(columns)))]
     for method, paper in table.paper.items():
         cell = table.cell(method)
         lines.append(_row([method, *_figures(made, cell, paper)]))
         if METHODS[method].neural_process:
-            nothing = PaperFigures(float("nan"), float("nan"), float("nan") if far else None)
-            lines.append(_row([f"{method}, shown the targets (leak)", *_figures(made, cell, nothing, leaked=True)]))
+            none = PaperFigures(float("nan"), float("nan"), float("nan") if has_distance else None)
+            lines.append(_row([f"{method}, shown the targets (leak)", *_figures(made, cell, none, leaked=True)]))
     return "\n".join(lines)
 
 
@@ -176,7 +174,7 @@ def _row(texts: Sequence[str]) -> str:
 
 
 def _errors(made: Reproduction) -> dict[Cell, float]:
-    """Of the cells that have a run."""
+    """Return the mean error of each cell that has a run."""
     found = {cell: made.spread(cell, lambda found: found.rmse) for cell in made.experiment.cells}
     return {cell: spread.mean for cell, spread in found.items() if spread is not None}
 
@@ -188,14 +186,14 @@ def _verdict(claim: Claim, errors: Mapping[Cell, float]) -> str:
 
 
 def _claims(made: Reproduction, table: Table) -> str:
-    """What the paper says of the table, and whether ours says it too."""
+    """Render the paper's claims about a table, each with our verdict and errors."""
     errors = _errors(made)
 
-    def shown(cells: Sequence[Cell]) -> str:
+    def listed(cells: Sequence[Cell]) -> str:
         return ", ".join(f"{errors[cell]:.3f}" if cell in errors else "?" for cell in cells)
 
     return "\n".join(
-        f"- **{_verdict(claim, errors)}**: {claim.text} ({shown(claim.lower)} against {shown(claim.higher)})"
+        f"- **{_verdict(claim, errors)}**: {claim.text} ({listed(claim.lower)} against {listed(claim.higher)})"
         for claim in table.claims
     )
 
@@ -206,18 +204,18 @@ def _footnotes(made: Reproduction) -> str:
 RMSE, STD (exp of the mean predicted log standard deviation) and NLL (per sample, summed over its outputs) are in the
 units of the networks: for pushes, published standard deviations. Dist. is RMSE x 21.92 mm. Coverage is the share of
 true values inside the central 90 % interval. ± is the standard deviation over seeds. Claims compare means over seeds:
-look at the spread before you believe one that holds, or fails, by a little.
+compare a small difference with the spread before you rely on it.
 """
     if any(METHODS[cell.method].neural_process for cell in made.experiment.cells):
         notes += """
 ANP is given 50 pushes of each test object with their outcomes, and predicts the others from its prior. The row with the
-leak encodes the very targets that it predicts, as the published evaluation does; it is no result.
+leak encodes the very targets that it predicts, as the published evaluation does. It is not a valid result.
 """
     return notes
 
 
 def plot(made: Reproduction) -> Figure:
-    """RMSE of each method, the paper's and ours, a panel per table; whiskers are the spread over seeds."""
+    """Plot the RMSE of each method, the paper's and ours, in a panel per table. Whiskers are the spread over seeds."""
     tables = made.experiment.tables
     columns = min(3, len(tables))
     rows = -(-len(tables) // columns)

@@ -1,8 +1,8 @@
-"""Run an experiment of the paper: every cell and seed is a run folder, and what is finished is not done again.
+"""Reproduction of an experiment of the paper: every cell and seed is a run with a folder of its own.
 
-Runs know nothing of each other and take one thread each, so that any executor makes the same of them. Data go once to
-each of its processes; a machine that does not see this disk is sent what the run folder holds and sends back what
-changed.
+Finished runs are not repeated. Runs are independent and use one thread each, so their results do not depend on the
+executor. Training data are sent once to each worker process. A worker that does not share this disk receives the files
+of the run folder and returns those that changed.
 """
 
 import json
@@ -29,7 +29,7 @@ from training.networks.methods import METHODS
 from training.networks.neural_process import NeuralProcess
 from training.paper import gaussian_process
 from training.paper.experiments import GAUSSIAN_PROCESS, Cell, Experiment
-from training.paper.run_transfer import Parcel, changed, pack, unpack
+from training.paper.run_transfer import RunFiles, changed, pack, unpack
 
 CELLS: Final = "cells"
 DataReader = Callable[[Cell, int], TrainingData]
@@ -37,60 +37,60 @@ DataReader = Callable[[Cell, int], TrainingData]
 
 @dataclass(frozen=True)
 class Result:
-    """One training of a cell, measured on its held-out samples."""
+    """Result of one training of a cell, measured on its held-out samples."""
 
     cell: Cell
     seed: int
     found: Evaluation
-    leaked: Evaluation | None  # of a neural process that is shown the targets, as the published evaluation does
+    leaked: Evaluation | None  # of a neural process that is given the targets, as in the published evaluation
     cost: dict[str, str | float]  # seconds, device, precision
     origin: dict[str, str]
 
 
 @dataclass(frozen=True)
 class Run:
-    """One training of a cell: what whoever does it is told."""
+    """Run: one training of a cell, as a task for an executor."""
 
     cell: Cell
     seed: int
     recipe: Recipe
-    data: int  # its place among the data that everybody was sent
+    data_index: int  # in the data that every worker has
     folder: Path
-    sent: Parcel | None = None  # what the folder holds, for who does not see it
+    files: RunFiles | None = None  # content of the folder, for workers that do not share this disk
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Return a name for people."""
         return f"{self.cell.set_up}, {self.cell.slug}, seed {self.seed}"
 
 
 @dataclass(frozen=True)
 class Trainer:
-    """What a process does with each run: train it, or go on with it, and measure it."""
+    """Train or continue each run of a worker process, and evaluate it."""
 
     data: list[TrainingData]
     quiet: bool
 
-    def __call__(self, run: Run) -> tuple[Result, Parcel]:
-        """The run's figures, and the files that its folder at home does not have yet.
+    def __call__(self, run: Run) -> tuple[Result, RunFiles]:
+        """Train a run. Return its result, and the files to write into its folder on the caller's disk.
 
         Raises:
-            DataError: it cannot be trained; says which it is.
+            DataError: the run cannot be trained. The message names the run.
         """
         try:
-            if run.sent is None:
-                return self._trained(run, run.folder), {}
+            if run.files is None:
+                return self._train(run, run.folder), {}
             with TemporaryDirectory() as folder:
-                unpack(run.sent, Path(folder))
-                return self._trained(run, Path(folder)), changed(run.sent, Path(folder))
+                unpack(run.files, Path(folder))
+                return self._train(run, Path(folder)), changed(run.files, Path(folder))
         except CazslError as error:
             raise DataError(f"{run.name}: {error}") from error
-        except Exception as error:  # what nobody foresaw is seen whole, with the run that it befell
+        except Exception as error:  # an unforeseen error keeps its traceback and names the run
             error.add_note(f"while training {run.name}")
             raise
 
-    def _trained(self, run: Run, folder: Path) -> Result:
-        data = self.data[run.data]
+    def _train(self, run: Run, folder: Path) -> Result:
+        data = self.data[run.data_index]
         with one_thread():
             network = fit(run.recipe, data, folder, self.quiet, bar=1)
             leaked = evaluate(network, data.held_out, leak=True) if isinstance(network, NeuralProcess) else None
@@ -100,13 +100,13 @@ class Trainer:
 
 
 def trainer(shared: tuple[list[TrainingData], bool]) -> Trainer:
-    """A process made ready for its runs."""
+    """Prepare a worker process for its runs."""
     return Trainer(*shared)
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Keep torch on one thread: figures are then those of the seed, to the bit, and runs share cores evenly."""
+    """Keep torch on one thread: figures then depend on the seed alone, to the bit, and runs share the cores evenly."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -124,13 +124,23 @@ def reproduce(
     quiet: bool = False,
     executor: Executor | None = None,
     known: Mapping[tuple[Cell, int], Result] | None = None,
-    look: Callable[[list[Result]], object] = lambda _: None,
+    on_results: Callable[[list[Result]], object] = lambda _: None,
 ) -> list[Result]:
-    """Train and measure every cell with every seed, or go on where this folder stopped; by this process unless told.
+    """Train and evaluate every cell with every seed, or continue the runs in ``folder``.
 
-    What is ``known`` is taken as it is. After every run, ``look`` is shown all results so far.
+    Runs are ordered seed by seed, so that all cells have a first result early. The neural process comes last, because
+    it takes ten times as long as any other method.
 
-    Seed after seed, so that a first look needs no patience; the neural process, an order dearer than all else, last.
+    Args:
+        experiment: the cells to train.
+        read: reads the training data of a cell and seed.
+        folder: receives a folder per run.
+        seeds: number of runs per cell.
+        epochs: per run.
+        quiet: show no progress.
+        executor: trains the runs, by default in this process.
+        known: results of an earlier reproduction, which are not trained again.
+        on_results: called after every run, with all results so far.
 
     Raises:
         DataError: data are missing, or a folder holds runs of other data, recipes or code.
@@ -138,78 +148,78 @@ def reproduce(
     """
     executor = executor or SerialExecutor()
     runs, data = _plan(experiment, read, folder, seeds, epochs)
-    results = _taken(runs, data, known or {})
+    results = _select_known(runs, data, known or {})
     left = [run for run in runs if (run.cell, run.seed) not in results]
     with (
         executor.start(trainer, (data, quiet or not executor.serial)) as pool,
         tqdm(total=len(runs), initial=len(results), desc=experiment.name, unit="run", disable=quiet) as progress,
     ):
 
-        def sent() -> Iterator[Run]:
+        def tasks() -> Iterator[Run]:
             for run in left:
                 progress.set_postfix_str(run.name)
-                yield run if executor.shares_disk else replace(run, sent=pack(run.folder))
+                yield run if executor.shares_disk else replace(run, files=pack(run.folder))
 
-        for run, (result, files) in pool.as_completed(sent()):
+        for run, (result, files) in pool.as_completed(tasks()):
             if files:
                 unpack(files, run.folder)
             results[run.cell, run.seed] = result
             progress.update()
-            look(_in_order(runs, results))
+            on_results(_in_order(runs, results))
     return _in_order(runs, results)
 
 
 def _in_order(runs: Sequence[Run], results: Mapping[tuple[Cell, int], Result]) -> list[Result]:
-    """Those that there are, as they were planned, whoever was first."""
+    """Return the results in the planned order of their runs."""
     return [results[run.cell, run.seed] for run in runs if (run.cell, run.seed) in results]
 
 
-def _taken(
+def _select_known(
     runs: Sequence[Run], data: Sequence[TrainingData], known: Mapping[tuple[Cell, int], Result]
 ) -> dict[tuple[Cell, int], Result]:
-    """Of what is known, what is wanted.
+    """Select the known results of planned runs.
 
     Raises:
-        DataError: it was made of other data.
+        DataError: a known result was made from other data.
     """
-    taken = {(run.cell, run.seed): known[run.cell, run.seed] for run in runs if (run.cell, run.seed) in known}
+    selected = {(run.cell, run.seed): known[run.cell, run.seed] for run in runs if (run.cell, run.seed) in known}
     for run in runs:
-        result = taken.get((run.cell, run.seed))
-        if result is not None and result.origin != data[run.data].origin:
+        result = selected.get((run.cell, run.seed))
+        if result is not None and result.origin != data[run.data_index].origin:
             raise DataError(
-                f"{run.name}: the known figures are of {result.origin}, the data here {data[run.data].origin}; "
-                "bring the data that they are of, or leave the known figures out"
+                f"{run.name}: the known figures are of {result.origin}, the data here {data[run.data_index].origin}; "
+                "give the data that they are of, or leave the known figures out"
             )
-    return taken
+    return selected
 
 
 def _plan(
     experiment: Experiment, read: DataReader, folder: Path, seeds: int, epochs: int
 ) -> tuple[list[Run], list[TrainingData]]:
-    """Every run in its order, and the distinct data of all; what is missing is said before hours of training."""
+    """Plan all runs in their order, and read their distinct data, so that missing data are named before training."""
     wanted = [(cell, seed) for seed in range(seeds) for cell in experiment.cells]
     wanted.sort(key=lambda run: METHODS[run[0].method].neural_process)
-    places: dict[int, int] = {}
+    indices: dict[int, int] = {}
     data: list[TrainingData] = []
     runs = []
     for cell, seed in wanted:
         found = read(cell, seed)
-        if id(found) not in places:
-            places[id(found)] = len(data)
+        if id(found) not in indices:
+            indices[id(found)] = len(data)
             data.append(found)
         path = folder / CELLS / cell.set_up / cell.slug / f"seed-{seed}"
-        runs.append(Run(cell, seed, experiment.recipe(cell, seed, epochs), places[id(found)], path))
+        runs.append(Run(cell, seed, experiment.recipe(cell, seed, epochs), indices[id(found)], path))
     return runs, data
 
 
 def data_reader(experiment: Experiment, data_folder: Path, views: Path | None = None) -> DataReader:
-    """What a cell with this seed is fitted to; read once for all that share it."""
+    """Return a reader of training data by cell and seed, which reads data once for all cells that share them."""
 
     @cache
     def pushes(set_up: str, context: str) -> TrainingData:
         return read_training_data(SET_UPS[set_up](), ContextKind(context), data_folder, views)
 
-    draw = cache(gaussian_process.draw_training_data)  # a repeat draws new processes as well as new weights
+    draw = cache(gaussian_process.draw_training_data)  # each seed draws new Gaussian processes as well as new weights
 
     def read(cell: Cell, seed: int) -> TrainingData:
         return draw(seed) if experiment.name == GAUSSIAN_PROCESS else pushes(cell.set_up, cell.context)

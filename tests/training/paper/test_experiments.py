@@ -1,4 +1,4 @@
-"""The paper's experiments: their cells, their training, their figures, and claims that its own figures bear out."""
+"""The paper's experiments: their cells, their recipes, their figures, and claims that these figures support."""
 
 import pytest
 
@@ -7,12 +7,12 @@ from training.fitting.recipe import SET_UPS, parse_recipe_record
 from training.paper.experiments import EXPERIMENTS, Cell, Claim, Rule, Table, cell, experiments
 
 TABLES = [table for experiment in experiments().values() for table in experiment.tables]
-# printed with figures that do not agree with each other; they are kept as they stand
+# Rows that the paper prints with figures that do not agree with each other. They are kept as printed.
 MISPRINTS = {("different-weights-0", "visual"): ("FCN + CC", "FCN + CM", "FCN + CM + L2Reg", "FCN + CM + NeuralReg")}
 
 
 def test_there_are_the_paper_s_four() -> None:
-    """By name, in its order."""
+    """The paper has four experiments, in a fixed order."""
     assert tuple(experiments()) == EXPERIMENTS
     assert EXPERIMENTS == ("gaussian-process", "different-objects", "different-surfaces", "different-weights")
 
@@ -28,7 +28,7 @@ def test_there_are_the_paper_s_four() -> None:
     ],
 )
 def test_an_experiment_trains_each_cell_once(name: str, tables: int, cells: int, seeds: int, epochs: int) -> None:
-    """Methods without context are shared by the tables of a set-up."""
+    """An experiment has each cell once: methods without context are shared by the tables of a set-up."""
     found = experiments()[name]
 
     assert (found.name, len(found.tables), len(found.cells)) == (name, tables, cells)
@@ -36,8 +36,8 @@ def test_an_experiment_trains_each_cell_once(name: str, tables: int, cells: int,
     assert (found.seeds, found.epochs) == (seeds, epochs)
 
 
-def test_a_row_that_is_left_out_takes_its_claims_along() -> None:
-    """Without ANP every table loses one row and the claim about it; the other claims are as they were."""
+def test_a_skipped_row_loses_its_claims() -> None:
+    """Without ANP every table loses that row and the claims about it, and keeps the other claims."""
     whole, left = experiments()["different-objects"], experiments()["different-objects"].without(["ANP"])
 
     assert len(left.cells) == len(whole.cells) - 1
@@ -49,7 +49,7 @@ def test_a_row_that_is_left_out_takes_its_claims_along() -> None:
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.title)
 def test_the_paper_s_claims_hold_for_the_paper_s_figures(table: Table) -> None:
-    """Otherwise they would not be its claims, or a figure is copied wrong."""
+    """Every claim holds for the paper's own figures, so neither the claim nor a figure is copied wrong."""
     errors = {other.cell(method): row.rmse for other in TABLES for method, row in other.paper.items()}
 
     assert len(table.claims) >= 2
@@ -59,7 +59,7 @@ def test_the_paper_s_claims_hold_for_the_paper_s_figures(table: Table) -> None:
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table.title)
 def test_the_paper_s_distances_are_its_errors_in_millimetres(table: Table) -> None:
-    """RMSE x 21.92 mm within rounding, so figures copied wrong would not agree; those that the paper misprints stay."""
+    """The paper's distances are RMSE x 21.92 mm within rounding, except for its known misprints."""
     odd = [
         method
         for method, row in table.paper.items()
@@ -71,7 +71,7 @@ def test_the_paper_s_distances_are_its_errors_in_millimetres(table: Table) -> No
 
 
 def test_the_best_rows_are_the_paper_s_bold_ones() -> None:
-    """Read off the tables by eye."""
+    """The lowest errors of the tables are those that the paper prints in bold."""
     best = {(table.set_up, table.context): min(table.paper.values(), key=lambda row: row.rmse).rmse for table in TABLES}
 
     assert best == {
@@ -110,10 +110,8 @@ def test_the_best_rows_are_the_paper_s_bold_ones() -> None:
         ("different-objects", ("different-objects", "FCN + CM + NeuralReg", "visual"), (64, 0.002, 0, 0.01, 1.0)),
     ],
 )
-def test_cells_are_trained_as_the_paper_says(
-    name: str, wanted: tuple[str, str, str], expected: tuple[float, ...]
-) -> None:
-    """Batch, learning rate, warm-up and lambdas where they apply."""
+def test_cells_have_the_paper_s_recipe(name: str, wanted: tuple[str, str, str], expected: tuple[float, ...]) -> None:
+    """The recipe of a cell has the paper's batch, learning rate, warm-up and lambdas."""
     experiment = experiments()[name]
     found = experiment.recipe(Cell(*wanted), seed=2)
 
@@ -124,8 +122,8 @@ def test_cells_are_trained_as_the_paper_says(
 
 
 @pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name != "gaussian-process"])
-def test_every_cell_of_pushes_is_a_recipe_that_could_be_fitted_by_hand(name: str) -> None:
-    """Its set-up, method and context are those that recipes know, and its name is one for a folder."""
+def test_every_cell_of_pushes_has_a_valid_recipe(name: str) -> None:
+    """The recipe of a cell of pushes parses, has a known set-up, and a name that is unique as a folder."""
     experiment = experiments()[name]
     for wanted in experiment.cells:
         recipe = experiment.recipe(wanted, seed=0)
@@ -135,7 +133,7 @@ def test_every_cell_of_pushes_is_a_recipe_that_could_be_fitted_by_hand(name: str
 
 
 def test_a_slug_is_a_folder_name() -> None:
-    """Lower case, method and context."""
+    """The slug of a cell has method and context in lower case."""
     assert Cell("different-objects", "FCN + CM + L2Reg", "visual").slug == "fcn-cm-l2reg-visual"
     assert Cell("different-objects", "ANP", "none").slug == "anp"
 
@@ -155,7 +153,7 @@ def test_a_slug_is_a_folder_name() -> None:
 def test_a_claim_compares_errors_by_its_rule(
     rule: Rule, lower: tuple[float, ...], higher: tuple[float, ...], holds: bool
 ) -> None:
-    """All below all, the best below the best, or each below its own; equal is not below."""
+    """A claim requires all below all, the best below the best, or each below its own. Equal is not below."""
     low = tuple(cell("a", method, "visual") for method in ("FCN + CM", "FCN + CC")[: len(lower)])
     high = tuple(cell("b", method, "visual") for method in ("FCN + CM", "FCN + CC")[: len(higher)])
     errors = dict(zip((*low, *high), (*lower, *higher), strict=True))

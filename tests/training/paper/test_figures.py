@@ -1,4 +1,4 @@
-"""Raw figures: written as JSON, read back as they were, and refused where they are of something else."""
+"""Raw figures: write_figures as JSON, read back unchanged, and refused if they are of another reproduction."""
 
 import json
 from collections.abc import Callable
@@ -30,8 +30,8 @@ RESULTS = [
 ]
 
 
-def written(folder: Path, change: Callable[[dict[str, Any]], object] = lambda document: None) -> Path:
-    """The figures of the results in a file, something changed."""
+def write_figures(folder: Path, change: Callable[[dict[str, Any]], object] = lambda document: None) -> Path:
+    """Write the figures of the results, with one change."""
     document = json.loads(raw_figures(EXPERIMENT, "cazsl-train reproduce", 2, 300, RESULTS))
     change(document)
     path = folder / "figures.json"
@@ -40,16 +40,16 @@ def written(folder: Path, change: Callable[[dict[str, Any]], object] = lambda do
 
 
 def test_figures_are_read_as_they_were_written(tmp_path: Path) -> None:
-    """Every run by its cell and seed, to the last digit."""
-    found = read_figures(written(tmp_path), EXPERIMENT, 300)
+    """Figures are read back for every run by cell and seed, to the last digit."""
+    found = read_figures(write_figures(tmp_path), EXPERIMENT, 300)
 
     assert list(found.values()) == RESULTS
     assert list(found) == [(result.cell, result.seed) for result in RESULTS]
 
 
-def test_figures_from_before_there_was_cooling_are_of_a_constant_rate(tmp_path: Path) -> None:
-    """They say nothing of it."""
-    path = written(tmp_path, lambda document: document.pop("cooling_epochs"))
+def test_figures_without_cooling_have_a_constant_rate(tmp_path: Path) -> None:
+    """Figures without ``cooling_epochs``, from before that option, are of a constant learning rate."""
+    path = write_figures(tmp_path, lambda document: document.pop("cooling_epochs"))
 
     assert list(read_figures(path, EXPERIMENT, 300).values()) == RESULTS
     with pytest.raises(DataError, match=r"wanted is different-objects, 300 epochs, code .*, cooled over 10 epochs"):
@@ -66,10 +66,12 @@ def test_figures_from_before_there_was_cooling_are_of_a_constant_rate(tmp_path: 
     ],
     ids=["experiment", "epochs", "code", "cooling"],
 )
-def test_figures_of_something_else_are_refused(tmp_path: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """With what they are of, and what was wanted."""
+def test_figures_of_another_reproduction_are_refused(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object]
+) -> None:
+    """Figures of another experiment, code version or number of epochs are refused, and the message names both."""
     with pytest.raises(DataError, match=r"holds .* epochs, code .*; wanted is different-objects, 300 epochs, code"):
-        read_figures(written(tmp_path, change), EXPERIMENT, 300)
+        read_figures(write_figures(tmp_path, change), EXPERIMENT, 300)
 
 
 @pytest.mark.parametrize(
@@ -83,7 +85,7 @@ def test_figures_of_something_else_are_refused(tmp_path: Path, change: Callable[
     ],
     ids=["no runs", "an empty run", "a number", "a figure too many", "no cell"],
 )
-def test_what_holds_no_figures_is_told(tmp_path: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """One line that names the file."""
+def test_a_file_without_figures_is_refused(tmp_path: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """A file that holds no figures is refused by its name."""
     with pytest.raises(DataError, match=r"figures\.json holds no figures of a reproduction"):
-        read_figures(written(tmp_path, change), EXPERIMENT, 300)
+        read_figures(write_figures(tmp_path, change), EXPERIMENT, 300)

@@ -1,4 +1,4 @@
-"""The regression's data: the kernel, the sample counts, the windows, and how much the past says of the next value."""
+"""The regression's data: the kernel, the sample counts, the windows, and how well the past predicts the next value."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from training.paper.gaussian_process import TIME_STEP, covariance, draw_paths, d
 
 
 def test_a_simulation_has_the_paper_s_counts() -> None:
-    """4000 samples of 200 parameter sets to train on, 400 of 20 others to test on; three values in, one out."""
+    """A simulation has 4000 samples of 200 parameter sets to train on, and 400 of 20 others to test on."""
     data = draw_training_data(0)
 
     assert data.train.inputs.shape == (4000, 1, 3)
@@ -19,7 +19,7 @@ def test_a_simulation_has_the_paper_s_counts() -> None:
 
 
 def test_parameters_are_uniform_between_a_tenth_and_ten() -> None:
-    """Mean 5.05 and deviation 9.9 / sqrt(12) of both, over many sets."""
+    """Parameters have the range, mean 5.05 and deviation 9.9 / sqrt(12) of a uniform distribution on (0.1, 10)."""
     parameters, _ = draw_sets(np.random.default_rng(1), 4000)
 
     assert parameters.min() >= 0.1
@@ -29,7 +29,7 @@ def test_parameters_are_uniform_between_a_tenth_and_ten() -> None:
 
 
 def test_the_kernel_is_the_paper_s() -> None:
-    """xi^2 exp(-(a - b)^2 / (2 l)), with l and not its square below."""
+    """The kernel is xi^2 exp(-(a - b)^2 / (2 l)), with l and not its square in the denominator."""
     found = covariance(np.array([[3.0, 0.5], [2.0, 8.0]]), np.array([0.0, 0.4, 1.0]))
 
     for number, (scale, bandwidth) in enumerate([(3.0, 0.5), (2.0, 8.0)]):
@@ -40,7 +40,7 @@ def test_the_kernel_is_the_paper_s() -> None:
 
 
 def test_paths_have_the_covariance_of_their_kernel() -> None:
-    """Ten thousand paths of one parameter set: their second moments are K, to the noise of so many."""
+    """The second moments of ten thousand paths of one parameter set are K, within their noise."""
     parameters = np.tile([[2.0, 0.7]], (10_000, 1))
     paths = draw_paths(np.random.default_rng(2), parameters)
 
@@ -51,7 +51,7 @@ def test_paths_have_the_covariance_of_their_kernel() -> None:
 
 
 def test_samples_are_the_windows_of_a_path() -> None:
-    """Inputs are three values in order of time, the target is the one after them; contexts are scale and bandwidth."""
+    """Inputs are three values in order of time, the target is the next value, and contexts are scale and bandwidth."""
     samples = samples_of(np.array([[3.0, 0.5]]), np.arange(23.0)[None])
 
     assert samples.inputs[0, 0].tolist() == [0.0, 1.0, 2.0]
@@ -64,7 +64,7 @@ def test_samples_are_the_windows_of_a_path() -> None:
 
 @pytest.mark.parametrize(("bandwidth", "share"), [(0.1, 0.68), (5.0, 0.0057), (10.0, 0.00206)])
 def test_at_our_time_step_three_past_values_predict_the_next(bandwidth: float, share: float) -> None:
-    """What they leave open, K22 - K21 K11^-1 K12, is the share of the scale that the module states."""
+    """The std that three past values leave open is the share of the scale that the module states."""
     kernel = covariance(np.array([[1.0, bandwidth]]), TIME_STEP * np.arange(4.0))[0]
     left = kernel[3, 3] - kernel[3, :3] @ np.linalg.solve(kernel[:3, :3], kernel[:3, 3])
 
@@ -72,7 +72,7 @@ def test_at_our_time_step_three_past_values_predict_the_next(bandwidth: float, s
 
 
 def test_a_repeat_is_another_simulation_and_always_the_same() -> None:
-    """The number of the repeat decides, in training and test set alike."""
+    """The number of a repeat determines its training and test data, and another number gives other data."""
     first, again, other = draw_training_data(3), draw_training_data(3), draw_training_data(4)
 
     assert first.origin == again.origin
@@ -82,7 +82,7 @@ def test_a_repeat_is_another_simulation_and_always_the_same() -> None:
 
 
 def test_values_are_in_units_of_the_training_set() -> None:
-    """Mean 0 and deviation 1 over the training values; the unit is the scale's root mean square, about 5.8."""
+    """Training values have mean 0 and deviation 1, in a unit of the scale's root mean square, about 5.8."""
     data = draw_training_data(0)
     # every value of a path but its first three is a target once
     inputs, targets = (values.numpy().reshape(200, 20, -1) for values in (data.train.inputs, data.train.targets))

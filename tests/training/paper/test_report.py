@@ -1,4 +1,4 @@
-"""Reports: the paper's rows beside ours, its claims, the data named, and raw figures from which all of it follows."""
+"""Reports: the paper's rows beside ours, its claims, the source of the data, a plot, and the raw figures."""
 
 import json
 from dataclasses import replace
@@ -17,13 +17,13 @@ ORIGIN = {"source": "made up by a test", "sha256": "0" * 64}
 
 
 def evaluation(rmse: float) -> Evaluation:
-    """Figures that follow from the error."""
+    """Make figures that follow from the error."""
     coverage = {0.5: 0.4, 0.9: 0.75, 0.95: 0.8}
     return Evaluation(rmse, 0.5 * rmse, 21.92 * rmse, -2.0 + rmse, coverage, (0.001, 0.001, 0.01))
 
 
 def made(name: str, errors: dict[Cell, float], seeds: int = 2, epochs: int | None = None) -> Reproduction:
-    """A reproduction with these errors, a hundredth more with each seed."""
+    """Make a reproduction with these errors, a hundredth more with each seed."""
     experiment = experiments()[name]
     results = [
         Result(
@@ -42,13 +42,13 @@ def made(name: str, errors: dict[Cell, float], seeds: int = 2, epochs: int | Non
 
 
 def as_in_the_paper(name: str) -> dict[Cell, float]:
-    """The paper's own errors."""
+    """Return the paper's own errors."""
     tables = experiments()[name].tables
     return {table.cell(method): row.rmse for table in tables for method, row in table.paper.items()}
 
 
 def test_a_row_has_the_paper_s_figures_and_ours() -> None:
-    """RMSE, STD and distance of both, then likelihood and coverage, mean and spread over seeds."""
+    """A row has RMSE, STD and distance of both, then NLL and coverage, as mean and spread over seeds."""
     text = render(made("different-surfaces", as_in_the_paper("different-surfaces")))
 
     header, rule, *rows = [line for line in text.splitlines() if line.startswith("|")]
@@ -73,17 +73,17 @@ def test_a_row_has_the_paper_s_figures_and_ours() -> None:
     ]
 
 
-def test_the_leak_stands_beside_without_figures_of_the_paper() -> None:
-    """Labelled, and explained below."""
+def test_the_leak_has_a_row_without_figures_of_the_paper() -> None:
+    """The leak has a labelled row without figures of the paper, and a note that it is not a valid result."""
     text = render(made("different-surfaces", as_in_the_paper("different-surfaces")))
 
     (row,) = [line for line in text.splitlines() if "(leak)" in line]
     assert row.split(" | ")[1:3] == ["", "0.001 ± 0.000"]
-    assert "it is no result" in text
+    assert "It is not a valid result" in text
 
 
 def test_the_regression_has_no_distance() -> None:
-    """As in the paper, whose table has two columns, and no neural process."""
+    """The table of the regression has two columns of the paper, and no neural process."""
     text = render(made("gaussian-process", as_in_the_paper("gaussian-process")))
 
     assert "Dist. (mm) paper" not in text
@@ -92,7 +92,7 @@ def test_the_regression_has_no_distance() -> None:
 
 
 def test_the_report_names_data_seeds_epochs_cost_and_command() -> None:
-    """So that nobody takes the figures for others, and everybody can make them again."""
+    """The report names the data, seeds, epochs, cost and command of its figures."""
     text = render(made("different-surfaces", as_in_the_paper("different-surfaces"), epochs=7))
 
     assert "**made up by a test**" in text
@@ -101,22 +101,22 @@ def test_the_report_names_data_seeds_epochs_cost_and_command() -> None:
     assert "cazsl-train reproduce different-surfaces --epochs 7" in text
 
 
-def test_one_seed_is_a_seed() -> None:
-    """Not "1 seeds"."""
+def test_one_seed_is_in_the_singular() -> None:
+    """A report of one seed has "1 seed" and not "1 seeds"."""
     assert "1 seed per row" in render(made("different-surfaces", as_in_the_paper("different-surfaces"), seeds=1))
 
 
-def test_processor_time_is_told_when_every_run_tells_it() -> None:
-    """The clock goes on while others have the machine; results from elsewhere may not know better."""
+def test_processor_time_needs_every_run_s_record() -> None:
+    """The report has the processor time only if every run records it."""
     reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
-    told = [replace(result, cost={**COST, "processor_s": 900.0}) for result in reproduction.results]
+    recorded = [replace(result, cost={**COST, "processor_s": 900.0}) for result in reproduction.results]
 
-    assert "6.0 hours (3.0 of processor time) of training" in render(replace(reproduction, results=told))
-    assert "6.0 hours of training" in render(replace(reproduction, results=[reproduction.results[0], *told[1:]]))
+    assert "6.0 hours (3.0 of processor time) of training" in render(replace(reproduction, results=recorded))
+    assert "6.0 hours of training" in render(replace(reproduction, results=[reproduction.results[0], *recorded[1:]]))
 
 
 def test_both_surfaces_are_named() -> None:
-    """The data of a table are those it trains on and those it tests on."""
+    """A report of different surfaces names the data that it trains on and the data that it tests on."""
     reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
     both = {**ORIGIN, "held_out_source": "plywood of a test", "held_out_sha256": "1" * 64}
     results = [
@@ -130,7 +130,7 @@ def test_both_surfaces_are_named() -> None:
 
 @pytest.mark.parametrize("name", list(experiments()))
 def test_with_the_paper_s_errors_every_claim_holds(name: str) -> None:
-    """And the report says how many."""
+    """With the paper's own errors every claim holds, and the report counts them."""
     reproduction = made(name, as_in_the_paper(name), seeds=1)
     claims = sum(len(table.claims) for table in reproduction.experiment.tables)
 
@@ -140,8 +140,8 @@ def test_with_the_paper_s_errors_every_claim_holds(name: str) -> None:
     assert "does not hold" not in text
 
 
-def test_a_claim_that_fails_is_said_to_fail() -> None:
-    """With the errors that decide it."""
+def test_a_failed_claim_is_marked_with_its_errors() -> None:
+    """A claim that fails is marked as such, with the errors that decide it."""
     errors = as_in_the_paper("different-surfaces")
     errors[Cell("different-surfaces", "FCN + CM", "indicator")] = 0.4
     text = render(made("different-surfaces", errors, seeds=1))
@@ -154,8 +154,8 @@ def test_a_claim_that_fails_is_said_to_fail() -> None:
     assert "2 of the paper's 3 claims hold" in text
 
 
-def test_what_is_not_trained_yet_is_empty_and_open() -> None:
-    """Rows without a run, claims that need them, and how far it is; what is there counts already."""
+def test_missing_runs_are_empty_rows_and_open_claims() -> None:
+    """An unfinished report has empty rows without a run, open claims, and the number of finished runs."""
     reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
     some = [result for result in reproduction.results if result.cell.method != "ANP" and result.seed == 0]
     text = render(replace(reproduction, results=some))
@@ -167,8 +167,8 @@ def test_what_is_not_trained_yet_is_empty_and_open() -> None:
     assert len(plot(replace(reproduction, results=some)).axes) == 1
 
 
-def test_rows_that_have_some_of_their_seeds_say_how_many() -> None:
-    """A mean of one seed beside a mean of two is seen to be one."""
+def test_incomplete_rows_show_their_number_of_seeds() -> None:
+    """An unfinished report shows how many seeds its rows have."""
     reproduction = made("different-surfaces", as_in_the_paper("different-surfaces"))
     first = [result for result in reproduction.results if result.seed == 0]
 
@@ -177,8 +177,8 @@ def test_rows_that_have_some_of_their_seeds_say_how_many() -> None:
     assert "hold. 2 seeds per row" in render(reproduction)
 
 
-def test_the_written_files_are_whole(tmp_path: Path) -> None:
-    """A report that shows its plot, the plot, and every run's figures as JSON."""
+def test_the_report_is_written_with_plot_and_figures(tmp_path: Path) -> None:
+    """A report is written with its plot and every run's figures as JSON."""
     reproduction = made("different-objects", as_in_the_paper("different-objects"))
     path = write_report(reproduction, tmp_path / "report")
 
@@ -195,7 +195,7 @@ def test_the_written_files_are_whole(tmp_path: Path) -> None:
 
 
 def test_the_plot_has_a_panel_per_table_with_both_bars() -> None:
-    """The paper's errors and ours, method by method."""
+    """The plot has a panel per table, with the paper's errors and ours for each method."""
     figure = plot(made("different-objects", as_in_the_paper("different-objects"), seeds=1))
 
     assert [axes.get_title() for axes in figure.axes] == [
@@ -207,7 +207,7 @@ def test_the_plot_has_a_panel_per_table_with_both_bars() -> None:
 
 
 def test_a_single_seed_has_no_spread() -> None:
-    """Zero would read as certainty."""
+    """The figure of a single seed has no spread, because a spread of 0 would read as certainty."""
     assert Spread.of([0.3]) == Spread(0.3)
     assert Spread.of([0.3]).text(3) == "0.300"
     assert Spread.of([0.3, 0.5]).text(2, 100.0) == "40.00 ± 14.14"
