@@ -1,1 +1,1 @@
-"""The recipes that ship with the trainer, one TOML file each; ``training.fitting.recipe`` reads them."""
+"""Recipes that ship with the trainer, one TOML file each. ``training.fitting.recipe`` reads them."""
