@@ -42,7 +42,7 @@ def check_parity(network: PushNetwork, model: bytes, kind: ContextKind) -> float
         difference = np.abs(found - expected)
         difference[0, :, 2] = np.minimum(difference[0, :, 2], 2.0 * math.pi - difference[0, :, 2])  # pi is -pi
         if (difference > PARITY_TOLERANCE + PARITY_RELATIVE * np.abs(size)).any():
-            raise PublishError(f"onnxruntime differs from torch by {difference.max():.2e}; nothing was published")
+            raise PublishError(f"onnxruntime differs from torch by {difference.max():.2e}; no version was published")
         return float(difference.max())
 
     largest_difference(extreme_batch(kind))

@@ -66,7 +66,7 @@ def publish(
     samples = Samples.of(held_out, kind)
     found = evaluate(measured_network, samples)
     if not math.isfinite(found.nll):
-        raise PublishError("the network's held-out figures are not finite; nothing was published")
+        raise PublishError("the network's held-out figures are not finite; no version was published")
     model = export_onnx(network, kind)
     parity = check_parity(network, model, kind)
     draft = Manifest(
