@@ -1,4 +1,4 @@
-"""``cazsl config``: what is in force, and who said so; and the options that serving shares with it."""
+"""``cazsl config``: print every setting with its source. The options are shared with ``cazsl serve``."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,34 +7,34 @@ from typing import Any, Final
 import click
 
 from service.cli.configuration import Configuration, configure
-from service.cli.terminal import json_option, mend, say
+from service.cli.terminal import errors_as_one_line, json_option, print_json
 from service.errors import CazslError
 
 _OPTIONS: Final = (
     click.option("--host", help="Address to listen on. [default: 127.0.0.1]"),
-    click.option("--port", type=int, help="Port to listen on; 0 picks a free one. [default: 8000]"),
-    click.option("--registry", help="The folder of models, or s3://bucket/prefix. [default: models]"),
+    click.option("--port", type=int, help="Port to listen on. 0 picks a free port. [default: 8000]"),
+    click.option("--registry", help="Registry of models: a folder, or s3://bucket/prefix. [default: models]"),
     click.option(
         "--config",
         "path",
         type=click.Path(path_type=Path),
-        help="A file of settings in TOML, such as port = 9000. [default: the one that CAZSL_CONFIG names]",
+        help="TOML file of settings, such as port = 9000. [default: the file that CAZSL_CONFIG names]",
     ),
 )
 
 
 def settings_options(command: Callable[..., None]) -> Callable[..., None]:
-    """The options of a command that takes settings."""
+    """Add the options of a command that takes settings."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
 
 
 def configured(options: dict[str, Any]) -> Configuration:
-    """What is in force.
+    """Return the configuration that results from the options of a command.
 
     Raises:
-        click.ClickException: one line that names what is wrong.
+        click.ClickException: a setting is unknown or invalid. The message is one line that names it.
     """
     path: Path | None = options.pop("path")
     try:
@@ -46,9 +46,9 @@ def configured(options: dict[str, Any]) -> Configuration:
 @click.command("config")
 @settings_options
 @json_option
-@mend
+@errors_as_one_line
 def config(as_json: bool, **options: Any) -> None:
-    """Show every setting, its value and where it came from; secrets are masked. Nothing is started.
+    """Print every setting with its value and source. Secrets are masked. The service is not started.
 
     \b
     cazsl config --port 9000
@@ -57,7 +57,7 @@ def config(as_json: bool, **options: Any) -> None:
     found = configured(options)
     rows = [(name, _text(value), origin) for name, value, origin in found.lines()]
     if as_json:
-        say({name: {"value": value, "from": origin.kind, "name": origin.name} for name, value, origin in rows})
+        print_json({name: {"value": value, "from": origin.kind, "name": origin.name} for name, value, origin in rows})
         return
     widths = [max(len(str(row[column])) for row in rows) for column in (0, 1)]
     for name, value, origin in rows:

@@ -1,14 +1,14 @@
-"""``cazsl keys``: make API keys."""
+"""``cazsl keys``: create API keys."""
 
 import click
 
-from service.cli.terminal import mend
+from service.cli.terminal import errors_as_one_line
 from service.transport.keys import Grant, Scope
 
 
 @click.group()
 def keys() -> None:
-    """API keys, for a service that is started with CAZSL_KEYS."""
+    """Create API keys for a service that is started with CAZSL_KEYS."""
 
 
 @keys.command("new")
@@ -20,15 +20,17 @@ def keys() -> None:
     multiple=True,
     default=[Scope.PREDICT.value],
     show_default=True,
-    help="What it covers; may be given more than once.",
+    help="Scope of the key. May be given more than once.",
 )
-@mend
+@errors_as_one_line
 def new_key(name: str, scopes: tuple[str, ...]) -> None:
-    """Make a key for NAME: the line for the file of keys on standard output, the key itself on standard error, once.
+    """Create an API key for NAME. The line for the file of keys goes to standard output, the key to standard error.
+
+    The key is shown this once and stored nowhere.
 
     \b
     cazsl keys new robot-7 >> /etc/cazsl/keys
     """
     grant, key = Grant.new(name, frozenset(Scope(scope) for scope in scopes))
     click.echo(grant.line())
-    click.echo(f"the key, shown this once: {key}", err=True)
+    click.echo(f"API key (shown only now): {key}", err=True)

@@ -1,4 +1,4 @@
-"""``cazsl``: serve predictions, keep the registry, predict one push."""
+"""``cazsl``: the group of all commands."""
 
 import click
 
@@ -14,17 +14,17 @@ from service.cli.serve import serve
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 @click.version_option(service.__version__, prog_name="cazsl")
 def main() -> None:
-    """Where does a pushed object end up, and how sure can we be?
+    """Predict the pose of a pushed object, with its uncertainty.
 
     \b
     cazsl serve                                        start the HTTP service on 127.0.0.1:8000
-    cazsl config                                       every setting, and where its value came from
-    cazsl predict 1a2b3c4a -- -0.075 0 0               one prediction, without a service
-    cazsl predict --parquet IN OUT                     millions of them, on all cores or on a Ray cluster
-    cazsl models list                                  what is published
+    cazsl config                                       every setting, its value and its source
+    cazsl predict 1a2b3c4a -- -0.075 0 0               predict one push without a service
+    cazsl predict --parquet IN OUT                     predict a file of pushes, on all cores or on a Ray cluster
+    cazsl models list                                  all published models
 
-    Settings come from options, the environment (CAZSL_REGISTRY, CAZSL_PORT, ...) and a file (CAZSL_CONFIG): the first
-    that names one wins.
+    Settings come from options, the environment (CAZSL_REGISTRY, CAZSL_PORT, ...) and a file (CAZSL_CONFIG), in this
+    order of precedence.
     """
 
 

@@ -1,4 +1,4 @@
-"""``cazsl models``: the commands that change a registry."""
+"""``cazsl models``: commands that change a registry."""
 
 import sys
 from pathlib import Path
@@ -6,20 +6,18 @@ from typing import Final
 
 import click
 
-from service.cli.terminal import REFUSED, json_option, mend, registry_option, say
-from service.errors import CazslError, RegistryError, UnknownModelError
-from service.model.loaded_model import LoadedModel
+from service.cli.terminal import REFUSED, errors_as_one_line, json_option, print_json, registry_option
+from service.errors import RegistryError
+from service.model.domain import Verdict
 from service.model.predictor import OnnxPredictor
 from service.model.reference import DEFAULT_ALIAS, ModelReference
-from service.pushing.gates import Verdict
-from service.registry.loading import load_version
+from service.registry import promotion
 from service.registry.location import open_registry
-from service.registry.promotion import judge
-from service.registry.registry import NOWHERE, Registry
-from service.storage.history import Event, History
+from service.registry.registry import Registry
+from service.storage.history import Event
 
-alias_option = click.option("--alias", default=DEFAULT_ALIAS, show_default=True, help="The alias to move.")
-reason_option = click.option("--reason", help="Why; kept in the history.")
+alias_option = click.option("--alias", default=DEFAULT_ALIAS, show_default=True, help="Alias to move.")
+reason_option = click.option("--reason", help="Reason, kept in the history.")
 
 
 @click.command("promote")
@@ -27,11 +25,15 @@ reason_option = click.option("--reason", help="Why; kept in the history.")
 @click.argument("version", type=click.IntRange(min=1))
 @alias_option
 @reason_option
-@click.option("--expect", type=click.IntRange(min=0), help="Move only if the alias names this version; 0: nothing yet.")
-@click.option("--force", is_flag=True, help="Move although gates refuse; needs --reason.")
+@click.option(
+    "--expect",
+    type=click.IntRange(min=0),
+    help="Move only if the alias names this version. 0: only if there is no such alias.",
+)
+@click.option("--force", is_flag=True, help="Move even if a gate refuses. Needs --reason.")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def promote(
     name: str,
     version: int,
@@ -42,57 +44,44 @@ def promote(
     as_json: bool,
     registry: str,
 ) -> None:
-    """Run the gates on a version, then point an alias at it; exit status 3 where a gate refuses.
+    """Run the gates on a version, then point an alias at it. Exit status 3 if a gate refuses.
 
-    Gates: verification and self-check; no contact means no motion; a turned object gives the turned answer; the angle
-    is continuous at pi; held-out NLL and coverage are not worse than those of the version that the alias names now.
+    Gates: the version passes verification and self-check. No contact means no motion. A turned object gives the turned
+    answer. The angle is continuous at pi. Held-out NLL and coverage are not worse than those of the version that the
+    alias names now.
     """
     if force and not reason:
-        raise click.UsageError("--force needs --reason: the history keeps why")
-    store = open_registry(registry)
-    store.resolve(ModelReference(name, None, version))
-    current = store.aliases(name).get(alias)
-    candidate = load_version(store, OnnxPredictor, name, version)
-    verdicts = judge(candidate, _champion(store, name, current))
-    refused = [verdict for verdict in verdicts if not verdict.passed]
-    if not as_json:
-        for verdict in verdicts:
-            click.echo(_line(verdict))
-    if refused and not force:
-        if as_json:
-            say({"moved": False, "gates": [vars(verdict) for verdict in verdicts]})
-        else:
-            gates = ", ".join(verdict.gate for verdict in refused)
-            click.echo(
-                f"refused by {gates}; {name}@{alias} stays. Move it all the same with --force --reason TEXT", err=True
-            )
-        sys.exit(REFUSED)
-    if refused:
-        reason = f"{reason} (forced past {', '.join(f'{v.gate} {v.figure:.3g} > {v.limit:.3g}' for v in refused)})"
-    seen = expect if expect is not None else (current or NOWHERE)
-    event = store.point_alias(name, alias, version, expect=seen, reason=reason)
+        raise click.UsageError("--force needs --reason, which is kept in the history")
+    found = promotion.promote(
+        open_registry(registry), OnnxPredictor, name, version, alias, reason=reason, expect=expect, force=force
+    )
     if as_json:
-        say({"moved": True, "gates": [vars(verdict) for verdict in verdicts], "event": event.as_document()})
+        document = {"moved": found.event is not None, "gates": [vars(verdict) for verdict in found.verdicts]}
+        print_json(document if found.event is None else {**document, "event": found.event.as_document()})
     else:
-        _done(name, event)
+        _print_promotion(name, alias, found)
+    if found.event is None:
+        sys.exit(REFUSED)
 
 
-def _champion(store: Registry, name: str, version: int | None) -> LoadedModel | None:
-    """Whom the candidate is measured against; one that does not load is no standard."""
-    try:
-        return None if version is None else load_version(store, OnnxPredictor, name, version)
-    except CazslError:
-        return None
+def _print_promotion(name: str, alias: str, found: promotion.Promotion) -> None:
+    for verdict in found.verdicts:
+        click.echo(_verdict_text(verdict))
+    if found.event is not None:
+        _print_move(name, found.event)
+        return
+    gates = ", ".join(verdict.gate for verdict in found.refused)
+    click.echo(f"refused by {gates}; {name}@{alias} stays. To move it anyway: --force --reason TEXT", err=True)
 
 
-def _line(verdict: Verdict) -> str:
+def _verdict_text(verdict: Verdict) -> str:
     sign = "ok    " if verdict.passed else "REFUSE"
     return f"{sign}  {verdict.gate:<12} {verdict.figure:8.4f}  ({verdict.meaning})"
 
 
-def _done(name: str, event: Event) -> None:
+def _print_move(name: str, event: Event) -> None:
     click.echo(
-        f"{name}@{event.alias}: {event.before or 'nothing'} -> {event.to}; running services follow at their next look"
+        f"{name}@{event.alias}: {event.before or 'none'} -> {event.to}; running services switch at their next poll"
     )
 
 
@@ -102,28 +91,14 @@ def _done(name: str, event: Event) -> None:
 @reason_option
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def rollback(name: str, alias: str, reason: str | None, as_json: bool, registry: str) -> None:
-    """Point an alias back at what it named before; the version is verified, the gates are not asked."""
-    store = open_registry(registry)
-    state = store.state(name)
-    current = state.aliases.get(alias)
-    before = _before(store.history(name), alias, current, state.versions)
-    if current is None or before is None:
-        raise UnknownModelError(f"{name}@{alias} named no other version before that is still there")
-    event = store.point_alias(
-        name, alias, before, expect=current, reason=f"rollback: {reason}" if reason else "rollback"
-    )
+    """Point an alias back at its previous version. The version is verified, but no gate runs."""
+    event = promotion.roll_back(open_registry(registry), name, alias, reason)
     if as_json:
-        say({"moved": True, "event": event.as_document()})
+        print_json({"moved": True, "event": event.as_document()})
     else:
-        _done(name, event)
-
-
-def _before(history: History, alias: str, current: int | None, versions: frozenset[int]) -> int | None:
-    """The last version that the alias named and that is neither the current one nor gone."""
-    named = [event.to for event in history.events if event.alias == alias and event.to is not None]
-    return next((version for version in reversed(named) if version != current and version in versions), None)
+        _print_move(name, event)
 
 
 @click.command("remove")
@@ -131,32 +106,32 @@ def _before(history: History, alias: str, current: int | None, versions: frozens
 @reason_option
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def remove(reference: str, reason: str | None, as_json: bool, registry: str) -> None:
-    """Remove a version for ever, or take an alias away; what an alias names cannot be removed."""
+    """Remove a version for good, or drop an alias. A version that an alias names cannot be removed."""
     if "@" not in reference:
-        raise click.BadParameter("say which: NAME@VERSION or NAME@ALIAS", param_hint="reference")
+        raise click.BadParameter("expected NAME@VERSION or NAME@ALIAS", param_hint="reference")
     store, parsed = open_registry(registry), ModelReference.parse(reference, "reference")
     if parsed.version is not None:
         event = store.remove(parsed.name, parsed.version, reason=reason)
     else:
         event = store.drop_alias(parsed.name, str(parsed.alias), reason=reason)
     if as_json:
-        say({"event": event.as_document()})
+        print_json({"event": event.as_document()})
     else:
-        click.echo(f"{parsed} is removed" + ("; its number is not given again" if parsed.version else ""))
+        click.echo(f"{parsed} is removed" + ("; its number is not used again" if parsed.version else ""))
 
 
 @click.command("prune")
 @click.argument("name")
-@click.option("--keep", type=click.IntRange(min=1), required=True, help="How many of the newest versions stay.")
-@click.option("--dry-run", is_flag=True, help="Only say what would go.")
+@click.option("--keep", type=click.IntRange(min=1), required=True, help="Number of newest versions to keep.")
+@click.option("--dry-run", is_flag=True, help="Print the versions that would be removed, and keep them.")
 @reason_option
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def prune(name: str, keep: int, dry_run: bool, reason: str | None, as_json: bool, registry: str) -> None:
-    """Remove old versions: all but the newest and those that an alias names."""
+    """Remove old versions. The newest ones, and those that an alias names, are kept."""
     store = open_registry(registry)
     state = store.state(name)
     old = sorted(set(sorted(state.versions)[:-keep]) - set(state.aliases.values()))
@@ -164,21 +139,24 @@ def prune(name: str, keep: int, dry_run: bool, reason: str | None, as_json: bool
         for version in old:
             store.remove(name, version, reason=reason or f"pruned, keeping {keep}")
     if as_json:
-        say({"removed": [] if dry_run else old, "would_remove": old if dry_run else []})
+        print_json({"removed": [] if dry_run else old, "would_remove": old if dry_run else []})
     else:
-        click.echo(f"{'would remove' if dry_run else 'removed'}: {', '.join(map(str, old)) or 'nothing'}")
+        click.echo(f"{'would remove' if dry_run else 'removed'}: {', '.join(map(str, old)) or 'none'}")
 
 
 @click.command("sign")
 @click.argument("reference")
 @click.option(
-    "--key", type=click.Path(exists=True, dir_okay=False, path_type=Path), required=True, help="Private key, PEM."
+    "--key",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    required=True,
+    help="Private key in PEM format.",
 )
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
-    """Sign a version that verifies with an elliptic-curve key; the version itself does not change.
+    """Verify a version and sign it with an elliptic-curve key. The version itself does not change.
 
     \b
     openssl ecparam -name prime256v1 -genkey -noout -out private.pem
@@ -193,7 +171,7 @@ def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
     version = store.resolve(parsed)
     store.sign(parsed.name, version, sign_files(store.read(parsed.name, version).files, key))
     if as_json:
-        say({"name": parsed.name, "version": version})
+        print_json({"name": parsed.name, "version": version})
     else:
         click.echo(f"{parsed.name}@{version} is signed")
 
@@ -203,9 +181,9 @@ def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
 @click.argument("destination")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def push(reference: str, destination: str, as_json: bool, registry: str) -> None:
-    """Copy a version, number and all, into another registry; verified at both ends."""
+    """Copy a version with its number to another registry. It is verified at both ends."""
     _copy(open_registry(registry), open_registry(destination), reference, as_json)
 
 
@@ -214,9 +192,9 @@ def push(reference: str, destination: str, as_json: bool, registry: str) -> None
 @click.argument("source")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def pull(reference: str, source: str, as_json: bool, registry: str) -> None:
-    """Copy a version, number and all, from another registry; verified at both ends."""
+    """Copy a version with its number from another registry. It is verified at both ends."""
     _copy(open_registry(source), open_registry(registry), reference, as_json)
 
 
@@ -225,9 +203,9 @@ def _copy(source: Registry, destination: Registry, reference: str, as_json: bool
     version = source.resolve(parsed)
     destination.copy(source, parsed.name, version)
     if as_json:
-        say({"name": parsed.name, "version": version})
+        print_json({"name": parsed.name, "version": version})
     else:
-        click.echo(f"{parsed.name}@{version} is there, byte for byte; no alias moved")
+        click.echo(f"{parsed.name}@{version} is copied, byte for byte; no alias was moved")
 
 
 CHANGES: Final = (promote, rollback, remove, prune, sign, push, pull)

@@ -1,4 +1,4 @@
-"""``cazsl models``: look at a registry."""
+"""``cazsl models``: list, verify, compare and inspect the models of a registry."""
 
 import itertools
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from service.cli.terminal import FAILED, json_option, mend, registry_option, say
+from service.cli.terminal import FAILED, errors_as_one_line, json_option, print_json, registry_option
 from service.errors import CazslError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
@@ -25,25 +25,25 @@ from service.storage.history import Event
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
 def models() -> None:
-    """Look at the registry and change it.
+    """Inspect and change the registry.
 
     \b
-    cazsl models list                                       what is published, and what its aliases name
+    cazsl models list                                       all models, versions and aliases
     cazsl models diff NAME@champion NAME@4                  figures, recipe and data side by side
     cazsl models promote NAME 4 --reason "new data"         run the gates, then make it the champion
-    cazsl models rollback NAME --reason "robots complain"   back to what the champion was before
-    cazsl models doctor                                     what is wrong here, and what to do
+    cazsl models rollback NAME --reason "robots complain"   back to the previous champion
+    cazsl models doctor                                     faults, each with its remedy
 
-    Exit status: 0 done, 1 failed or broken, 2 wrong command line, 3 refused by a gate, 4 somebody else changed it
-    first or it is in use, 5 no such model, version or alias.
+    Exit status: 0 done, 1 failed or broken, 2 wrong command line, 3 refused by a gate, 4 changed by another writer or
+    in use, 5 no such model, version or alias.
     """
 
 
-def load(registry: Registry, reference: str) -> LoadedModel:
-    """The version that a reference means, having passed every check.
+def load_reference(registry: Registry, reference: str) -> LoadedModel:
+    """Load and verify the version that a reference names.
 
     Raises:
-        CazslError: there is none, or it is broken.
+        CazslError: there is no such version, or it is broken.
     """
     parsed = ModelReference.parse(reference, "reference")
     return load_version(registry, OnnxPredictor, parsed.name, registry.resolve(parsed))
@@ -52,13 +52,13 @@ def load(registry: Registry, reference: str) -> LoadedModel:
 @models.command("list")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def list_models(registry: str, as_json: bool) -> None:
-    """Name, versions and aliases of every model."""
+    """List every model with its versions and aliases."""
     store = open_registry(registry)
     states = {name: store.state(name) for name in store.names()}
     if as_json:
-        say(
+        print_json(
             [
                 {"name": name, "versions": sorted(state.versions), "aliases": dict(sorted(state.aliases.items()))}
                 for name, state in states.items()
@@ -69,20 +69,20 @@ def list_models(registry: str, as_json: bool) -> None:
         aliases = ", ".join(f"{alias} -> {version}" for alias, version in sorted(state.aliases.items())) or "no alias"
         click.echo(f"{name}  versions {', '.join(map(str, sorted(state.versions))) or 'none'}  {aliases}")
     if not states:
-        click.echo("no model is published; train and publish one with: make train")
+        click.echo("the registry has no models; train and publish one with: make train")
 
 
 @models.command("show")
 @click.argument("reference")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def show(reference: str, as_json: bool, registry: str) -> None:
-    """The card of a model, or with --json its manifest: NAME, NAME@ALIAS or NAME@VERSION."""
+    """Print the card of a version, or its manifest with --json. REFERENCE is NAME, NAME@ALIAS or NAME@VERSION."""
     store, parsed = open_registry(registry), ModelReference.parse(reference, "reference")
     version = store.read(parsed.name, store.resolve(parsed))
     if as_json:
-        say(json.loads(version.manifest.render()))
+        print_json(json.loads(version.manifest.render()))
     else:
         click.echo(version.card)
 
@@ -91,22 +91,22 @@ def show(reference: str, as_json: bool, registry: str) -> None:
 @click.argument("reference", required=False)
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def verify(reference: str | None, as_json: bool, registry: str) -> None:
-    """Check digests, graph, tensors and self-check of one version, or of all; exit status 1 if any fails."""
+    """Verify digests, graph, tensors and self-check of one version, or of all. Exit status 1 if any fails."""
     store = open_registry(registry)
     references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
     found: list[dict[str, Any]] = []
     for each in references:
         try:
-            manifest = load(store, each).manifest
+            manifest = load_reference(store, each).manifest
             found.append({"reference": f"{manifest.name}@{manifest.version}", "ok": True, "detail": None})
         except UnknownModelError:
             raise
         except CazslError as error:
             found.append({"reference": each, "ok": False, "detail": str(error)})
     if as_json:
-        say(found)
+        print_json(found)
     else:
         for line in found:
             click.echo(
@@ -119,12 +119,12 @@ def verify(reference: str | None, as_json: bool, registry: str) -> None:
 @models.command("diff")
 @click.argument("first")
 @click.argument("second")
-@click.option("--all", "everything", is_flag=True, help="What is the same, too.")
+@click.option("--all", "everything", is_flag=True, help="List equal fields too.")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def diff(first: str, second: str, everything: bool, as_json: bool, registry: str) -> None:
-    """Metrics, calibration, recipe, data and preprocessing of two versions side by side."""
+    """Compare metrics, calibration, recipe, data and preprocessing of two versions."""
     store = open_registry(registry)
     sides = []
     for reference in (first, second):
@@ -133,7 +133,7 @@ def diff(first: str, second: str, everything: bool, as_json: bool, registry: str
     rows = [(key, sides[0].get(key), sides[1].get(key)) for key in sorted(sides[0].keys() | sides[1].keys())]
     rows = [row for row in rows if everything or row[1] != row[2]]
     if as_json:
-        say([{"field": key, "first": before, "second": after} for key, before, after in rows])
+        print_json([{"field": key, "first": before, "second": after} for key, before, after in rows])
         return
     if not rows:
         click.echo("no difference")
@@ -143,7 +143,7 @@ def diff(first: str, second: str, everything: bool, as_json: bool, registry: str
 
 
 def _figures(manifest: Manifest) -> dict[str, Any]:
-    """What is worth comparing, as flat names; no tensors, no self-check, no digests of files."""
+    """Return the comparable fields under flat names: without tensors, self-check and digests of files."""
     document = json.loads(manifest.render())
     kept = ("method", "context_kind", "code_version", "created", "recipe", "data", "metrics", "calibration")
     return dict(_flat({key: document[key] for key in (*kept, "normalisation", "image_convention")}, ""))
@@ -176,13 +176,13 @@ def _change(before: Any, after: Any) -> str:
 @click.argument("name")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def history(name: str, as_json: bool, registry: str) -> None:
-    """Every publish, alias move and removal of a model, and whether the chain holds; exit status 1 if not."""
+    """List every publish, alias move and removal of a model. Exit status 1 if the chain of digests is broken."""
     store = open_registry(registry)
     found, unrecorded = store.history(name), store.unrecorded(name)
     if as_json:
-        say(
+        print_json(
             {
                 "events": [event.as_document() for event in found.events],
                 "unrecorded": [event.as_document() for event in unrecorded],
@@ -191,16 +191,16 @@ def history(name: str, as_json: bool, registry: str) -> None:
         )
     else:
         for event in found.events:
-            click.echo(f"{event.time}  {event.who:<12}  {_sentence(event)}")
+            click.echo(f"{event.time}  {event.who:<12}  {_event_text(event)}")
         for event in unrecorded:
-            click.echo(f"not recorded yet: {_sentence(event)}")
+            click.echo(f"not recorded yet: {_event_text(event)}")
         for problem in found.problems:
             click.echo(f"PROBLEM  {problem}", err=True)
     if found.problems:
         sys.exit(FAILED)
 
 
-def _sentence(event: Event) -> str:
+def _event_text(event: Event) -> str:
     moved = [str(version) for version in (event.before, event.to) if version is not None]
     return f"{event.what} {' -> '.join(moved)}".rstrip() + (f"  ({event.reason})" if event.reason else "")
 
@@ -210,17 +210,19 @@ def _sentence(event: Event) -> str:
 @click.argument("when")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def at(reference: str, when: str, as_json: bool, registry: str) -> None:
-    """What an alias named at WHEN: a day (at its end) or a time, ISO 8601, UTC unless it says otherwise."""
+    """Print the version that an alias named at WHEN: a day (its end) or a time, in ISO 8601, UTC by default."""
     parsed = ModelReference.parse(reference, "reference")
     moment = _moment(when)
     alias = parsed.alias or DEFAULT_ALIAS
     version = open_registry(registry).alias_at(parsed.name, alias, moment)
     if version is None:
-        raise UnknownModelError(f"{parsed.name}@{alias} named nothing at {moment.isoformat()}")
+        raise UnknownModelError(
+            f"{parsed.name}@{alias} named no version at {moment.isoformat()}; see `cazsl models history {parsed.name}`"
+        )
     if as_json:
-        say({"name": parsed.name, "alias": alias, "at": moment.isoformat(), "version": version})
+        print_json({"name": parsed.name, "alias": alias, "at": moment.isoformat(), "version": version})
     else:
         click.echo(f"{parsed.name}@{version}")
 
@@ -229,7 +231,9 @@ def _moment(text: str) -> datetime:
     try:
         found = datetime.fromisoformat(text)
     except ValueError as error:
-        raise click.BadParameter("expected a day or a time, such as 2026-11-01 or 2026-11-01T14:03") from error
+        raise click.BadParameter(
+            "expected a day or a time in ISO 8601, such as 2026-11-01 or 2026-11-01T14:03"
+        ) from error
     if len(text) <= len("2026-11-01"):
         found = datetime.combine(found, time.max)
     return found if found.tzinfo else found.replace(tzinfo=UTC)
@@ -238,20 +242,20 @@ def _moment(text: str) -> datetime:
 @models.command("doctor")
 @json_option
 @registry_option
-@mend
+@errors_as_one_line
 def doctor(as_json: bool, registry: str) -> None:
-    """Everything that is not as it should be, what it lacks, and what to do; exit status 1 if serving suffers."""
+    """List the faults of the registry, each with its remedy. Exit status 1 if predictions suffer."""
     found = list(examine(open_registry(registry), OnnxPredictor))
     if as_json:
-        say([vars(finding) for finding in found])
+        print_json([vars(finding) for finding in found])
     else:
         for finding in found:
-            click.echo(_advice(finding))
+            click.echo(_finding_text(finding))
         if not found:
-            click.echo("all is well")
+            click.echo("no faults found")
     if any(finding.severe for finding in found):
         sys.exit(FAILED)
 
 
-def _advice(finding: RegistryFinding) -> str:
+def _finding_text(finding: RegistryFinding) -> str:
     return f"{'BROKEN' if finding.severe else 'note  '}  {finding.where}: {finding.wrong}\n        -> {finding.advice}"

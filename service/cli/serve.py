@@ -18,7 +18,7 @@ from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.observability.logs import configure_logging
 from service.registry.location import open_registry, trusted_keys
-from service.transport.connection import bounded_connection
+from service.transport.connection import connection_class
 from service.transport.draining import DrainingServer
 
 SWITCH_INTERVAL_S: Final = 0.0001
@@ -27,10 +27,10 @@ SWITCH_INTERVAL_S: Final = 0.0001
 @click.command()
 @settings_options
 def serve(**options: Any) -> None:
-    """Start the HTTP service; /docs shows and tries every route.
+    """Start the HTTP service. Its page /docs documents every route.
 
-    New versions and moved aliases are served without a restart. SIGTERM finishes running requests, then stops.
-    `cazsl config` shows every setting.
+    New versions and moved aliases are served without a restart. After SIGTERM the service finishes running requests and
+    stops. `cazsl config` shows every setting.
     """
     settings = configured(options).settings
     configure_logging(settings.log_level)
@@ -41,9 +41,11 @@ def serve(**options: Any) -> None:
         raise click.ClickException(str(error)) from error
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
     app = create_app(settings, models, trace=_tracing(settings.otlp_endpoint))
-    if sys.stdout.isatty():  # a person; whoever collects logs gets JSON lines only
-        click.echo(f"serving {settings.registry}; try http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
-    # uvicorn finishes what it has on SIGTERM and then raises the signal once more: having finished is success
+    if sys.stdout.isatty():  # log collectors get JSON lines only
+        click.echo(
+            f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops"
+        )
+    # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.
     signal.signal(signal.SIGTERM, lambda *_: None)
     serving = uvicorn.Config(
         app,
@@ -52,30 +54,32 @@ def serve(**options: Any) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
-        http=bounded_connection(settings.body_timeout_s, app.state.requests.refuse, app.state.short_way),
-        proxy_headers=False,  # who asks is who connects
+        http=connection_class(settings.body_timeout_s, app.requests.refuse, app.shortcut),
+        proxy_headers=False,  # the client address is that of the connection
         timeout_graceful_shutdown=settings.grace_s,
     )
     if settings.metrics_port is not None:
         try:
-            start_http_server(settings.metrics_port, settings.host, app.state.metrics)
+            start_http_server(settings.metrics_port, settings.host, app.parts.metrics)
         except OSError as error:
-            raise click.ClickException(f"CAZSL_METRICS_PORT: {settings.metrics_port}: {error.strerror}") from error
-    # Loading a version is Python on another thread; requests wait for it to give way, by default for 5 ms
+            raise click.ClickException(
+                f"CAZSL_METRICS_PORT: cannot listen on port {settings.metrics_port}: {error.strerror}"
+            ) from error
+    # Loading a version holds the interpreter lock in another thread. Requests wait for a switch, by default for 5 ms.
     sys.setswitchinterval(SWITCH_INTERVAL_S)
-    server = DrainingServer(serving, settings.drain_s, app.state.readiness.drain)
+    server = DrainingServer(serving, settings.drain_s, app.parts.readiness.drain)
     server.run()
     if not server.started:
         sys.exit(FAILED)
 
 
 def _tracing(endpoint: str) -> Callable[[ASGIApp], ASGIApp]:
-    """The ring that makes spans, where they are wanted."""
+    """Return the middleware that records spans, or the identity if no endpoint is set."""
     if not endpoint:
         return lambda app: app
-    try:  # dependencies that only those pay who want spans
+    try:  # optional dependencies
         from service.observability.tracing import Tracing, exporting
     except ImportError as error:
         raise click.ClickException("CAZSL_OTLP_ENDPOINT needs the extra 'otel': pip install 'cazsl[otel]'") from error
-    provider = exporting(endpoint)  # sends what is left at the end of the process
+    provider = exporting(endpoint)  # sends the remaining spans when the process ends
     return lambda app: Tracing(app, provider)

@@ -1,8 +1,8 @@
-"""What every command shares: the registry option, ``--json``, and exit statuses that scripts can rely on.
+"""Options and output of all commands: ``--registry``, ``--json``, and exit statuses that scripts can rely on.
 
 0  done                               3  refused by a gate
-1  failed, or something is broken     4  somebody else changed it first, or it is in use
-2  the command line is wrong          5  there is no such model, version or alias
+1  failed, or a version is broken     4  changed by another writer, or in use
+2  wrong command line                 5  no such model, version or alias
 """
 
 import functools
@@ -23,8 +23,8 @@ REFUSED: Final = 3
 _STATUSES: Final = ((ConflictError, 4), (InUseError, 4), (UnknownModelError, 5), (CazslError, FAILED))
 
 
-def _registry() -> str:
-    """The registry of the file of settings, for who gives neither option nor CAZSL_REGISTRY."""
+def _default_registry() -> str:
+    """Return the registry of the settings file, for commands without --registry and CAZSL_REGISTRY."""
     try:
         return configure({}).settings.registry if os.environ.get(CONFIG_NAME) else "models"
     except CazslError as error:
@@ -34,15 +34,15 @@ def _registry() -> str:
 registry_option = click.option(
     "--registry",
     envvar="CAZSL_REGISTRY",
-    default=_registry,
+    default=_default_registry,
     show_default="models",
-    help="The folder of models, or s3://bucket/prefix.",
+    help="Registry of models: a folder, or s3://bucket/prefix.",
 )
-json_option = click.option("--json", "as_json", is_flag=True, help="One JSON document instead of text.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of text.")
 
 
-def mend(command: Callable[P, None]) -> Callable[P, None]:
-    """An error of ours becomes one line, or one JSON document, and an exit status."""
+def errors_as_one_line(command: Callable[P, None]) -> Callable[P, None]:
+    """Print a ``CazslError`` of a command as one line, or as one JSON document, and exit with its status."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -50,7 +50,7 @@ def mend(command: Callable[P, None]) -> Callable[P, None]:
             command(*args, **kwargs)
         except CazslError as error:
             if kwargs.get("as_json"):
-                say({"code": error.code, "detail": str(error)})
+                print_json({"code": error.code, "detail": str(error)})
             else:
                 click.echo(f"Error: {error}", err=True)
             sys.exit(next(status for kind, status in _STATUSES if isinstance(error, kind)))
@@ -58,6 +58,6 @@ def mend(command: Callable[P, None]) -> Callable[P, None]:
     return run
 
 
-def say(document: Any) -> None:
+def print_json(document: Any) -> None:
     """Print one JSON document."""
     click.echo(json.dumps(document, indent=2))

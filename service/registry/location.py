@@ -1,4 +1,4 @@
-"""A registry from the text that names it: a folder, or ``s3://bucket/prefix``."""
+"""Location of a registry, a folder or ``s3://bucket/prefix``, and the keys that it trusts."""
 
 import os
 from pathlib import Path
@@ -18,43 +18,43 @@ def open_registry(
     max_model_bytes: int = MAX_MODEL_BYTES,
     cache: Path | None = None,
 ) -> Registry:
-    """The registry at a location; nothing is read yet.
+    """Open the registry at a location. No file is read yet.
 
     Raises:
-        RegistryError: the location cannot be one, or what it needs is not installed.
+        RegistryError: the location is not that of a registry, or a needed extra is not installed.
     """
     return Registry(_storage(location, cache), signatures, max_model_bytes)
 
 
 def trusted_keys(paths: str) -> Signatures | None:
-    """Whoever demands a signature by one of these public keys, PEM files separated as in PATH; None for no keys.
+    """Return the check of signatures by these public keys, PEM files separated as in PATH. None for no keys.
 
     Raises:
-        RegistryError: a key cannot be read, or what it needs is not installed.
+        RegistryError: a key cannot be read, or a needed extra is not installed.
     """
     keys = tuple(Path(part) for part in paths.split(os.pathsep) if part)
     if not keys:
         return None
-    try:  # a dependency of 50 MiB in memory that only those pay who demand signatures
+    try:  # loaded only if signatures are required, because it takes 50 MiB of memory
         from service.registry.signing import TrustedKeys
     except ImportError as error:
         raise RegistryError("signatures need the extra 'signing': pip install 'cazsl[signing]'") from error
     for key in keys:
         try:
             if b"PUBLIC KEY" not in key.read_bytes():
-                raise RegistryError(f"{key.name} is not a public key in PEM")
+                raise RegistryError(f"trusted key {key.name}: not a public key in PEM format")
         except OSError as error:
-            raise RegistryError(f"{key.name} cannot be read: {error.strerror}") from error
+            raise RegistryError(f"trusted key {key.name}: cannot be read: {error.strerror}") from error
     return TrustedKeys(keys)
 
 
 def _storage(location: str, cache: Path | None) -> Path | Storage:
     if location.startswith(S3_SCHEME):
-        try:  # a dependency that only buckets need
+        try:  # loaded only for buckets
             from service.storage.bucket_storage import BucketStorage
         except ImportError as error:
             raise RegistryError("a registry in a bucket needs the extra 's3': pip install 'cazsl[s3]'") from error
         return BucketStorage.at(location, cache)
     if "://" in location:
-        raise RegistryError("a registry is a folder or s3://bucket/prefix")
+        raise RegistryError("registry: unknown kind of address; a registry is a folder or s3://bucket/prefix")
     return Path(location)

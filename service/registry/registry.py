@@ -1,9 +1,9 @@
-"""The registry of models: list, resolve, read verified bytes, publish, move aliases, remove, tell what happened.
+"""Registry of models: list, resolve, read verified bytes, publish, move aliases, remove, and read the history.
 
-Versions are positive integers, never changed and never given twice. An alias names a version that passes verification;
-moving one is compare-and-set. Nothing that a storage hands over is believed: names are checked before it is asked,
-sizes are bounded before reading, and digests are compared before anyone gets a byte, which is then the very byte that
-was compared. Where the bytes lie, and how a change becomes visible, is ``service.storage.base``'s business.
+Versions are positive integers, never changed and never used twice. An alias names a version that passes verification.
+Moving an alias is compare-and-set. Everything that a storage returns is checked: names before a path is made of them,
+sizes before reading, and digests before any byte is returned. The returned bytes are the compared ones. A storage
+(``service.storage.base``) decides where the bytes lie and how a change becomes visible.
 """
 
 from collections.abc import Hashable, Sequence
@@ -13,21 +13,25 @@ from pathlib import Path
 from typing import Final
 
 from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
+from service.model.domain import Domain
 from service.model.manifest import CARD_FILE, FORMAT, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
 from service.model.reference import ModelReference, is_alias, is_name
+from service.pushing.domain import PUSHING
 from service.registry.verification import (
     MAX_CARD_BYTES,
     MAX_MANIFEST_BYTES,
     MAX_MODEL_BYTES,
+    Requirements,
     Signatures,
     VerifiedVersion,
+    parse_manifest,
     verify,
 )
-from service.storage.base import Finding, Storage
+from service.storage.base import RegistryFinding, Storage
 from service.storage.folder_storage import FolderStorage
 from service.storage.history import REMOVE, Event, History, ModelState, unrecorded
 
-NOWHERE: Final = 0  # as an expectation: the alias is not there yet
+NOWHERE: Final = 0  # as an expected version: the alias does not exist yet
 
 
 class Registry:
@@ -38,56 +42,57 @@ class Registry:
         location: Path | Storage,
         signatures: Signatures | None = None,
         max_model_bytes: int = MAX_MODEL_BYTES,
+        domain: Domain = PUSHING,
     ) -> None:
         self.storage: Storage = FolderStorage(location) if isinstance(location, Path) else location
-        self._signatures = signatures
-        self._max_model_bytes = max_model_bytes
+        self.domain = domain
+        self._required = Requirements(domain, signatures, max_model_bytes)
 
     @property
     def root(self) -> Path:
-        """The folder, where the registry lies in one.
+        """The folder of a registry that lies in a folder.
 
         Raises:
-            RegistryError: it lies elsewhere.
+            RegistryError: the registry lies in another storage.
         """
         if not isinstance(self.storage, FolderStorage):
-            raise RegistryError("this registry is not a folder")
+            raise RegistryError("registry: it lies in a bucket, and this operation needs a folder")
         return self.storage.root
 
     def names(self) -> list[str]:
-        """The models, sorted.
+        """Return the names of all models, sorted.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the storage cannot be listed.
         """
         return self.storage.models()
 
     def state(self, name: str) -> ModelState:
-        """Versions, aliases and spent numbers of a model.
+        """Return versions, aliases and removed numbers of a model.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the state cannot be read.
         """
         return self.storage.state(_checked(name))
 
     def versions(self, name: str) -> list[int]:
-        """The visible versions of a model, oldest first; as numbers, so that 10 is newer than 9.
+        """Return the visible versions of a model, oldest first. Version 10 is newer than version 9.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the state cannot be read.
         """
         return sorted(self.state(name).versions)
 
     def aliases(self, name: str) -> dict[str, int]:
-        """Where each alias of a model points, sorted by alias; what is no alias is left out.
+        """Return the version that each alias of a model names, sorted by alias.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the state cannot be read.
         """
         return dict(sorted(self.state(name).aliases.items()))
 
     def resolve(self, reference: ModelReference) -> int:
-        """The version that a reference means now.
+        """Return the version that a reference names now.
 
         Raises:
             UnknownModelError: there is no such model, version or alias.
@@ -98,50 +103,52 @@ class Registry:
             version = state.aliases.get(reference.alias)
         if version is None or version not in state.versions:
             raise UnknownModelError(
-                f"there is no {reference}; versions of {reference.name}: {_numbers(sorted(state.versions))}"
+                f"there is no {reference}; versions of {reference.name}: {_listed(sorted(state.versions))}"
             )
         return version
 
     def read(self, name: str, version: int) -> VerifiedVersion:
-        """Every byte of a version, verified: format, sizes, digests, no file too many or too few, signature.
+        """Read a version and verify its format, list of files, sizes, digests and signature.
 
         Raises:
-            BrokenModelError: names the file that is at fault, what was found and what was expected.
+            BrokenModelError: verification failed. The message names the file, the value found and the one expected.
         """
-        return verify(self.storage, _checked(name), version, self._max_model_bytes, self._signatures)
+        return verify(self.storage, _checked(name), version, self._required)
 
     def publish(self, draft: Manifest, model: bytes, card: str) -> Manifest:
-        """Make the next version visible, whole, and return its manifest; the draft's version and files are replaced.
+        """Publish a draft as the next version, with its number and digests filled in. Return the published manifest.
 
         Raises:
-            PublishError, BrokenModelError: the storage refused, or the draft breaks the contract; nothing is visible.
-            RegistryError: the version is visible, and could not be recorded.
+            PublishError, BrokenModelError: the storage refused, or the draft is invalid. No version became visible.
+            RegistryError: the version is visible, but could not be recorded.
         """
         contents = {MODEL_FILE: model, CARD_FILE: card.encode()}
-        for file, limit in ((MODEL_FILE, self._max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
+        for file, limit in ((MODEL_FILE, self._required.max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
             if len(contents[file]) > limit:
-                raise BrokenModelError(f"{file}: {len(contents[file])} bytes; at most {limit} can be read back")
+                raise BrokenModelError(f"{file}: {len(contents[file])} bytes; at most {limit} are allowed")
         whole = replace(
             draft, format=FORMAT, files={file: FileDigest.of(content) for file, content in contents.items()}
         )
 
         def manifest(version: int) -> bytes:
-            """The manifest of that number; what could not be read back must not become visible."""
+            """Render the manifest for a number, and check that it can be read back."""
             content = replace(whole, version=version).render()
             if len(content) > MAX_MANIFEST_BYTES:
-                raise BrokenModelError(f"{MANIFEST_FILE}: {len(content)} bytes; at most {MAX_MANIFEST_BYTES}")
-            Manifest.parse(content)
+                raise BrokenModelError(
+                    f"{MANIFEST_FILE}: {len(content)} bytes; at most {MAX_MANIFEST_BYTES} are allowed"
+                )
+            parse_manifest(content, self.domain)
             return content
 
         return replace(whole, version=self.storage.publish(_checked(draft.name), contents, manifest))
 
     def copy(self, source: "Registry", name: str, version: int) -> VerifiedVersion:
-        """Copy a version as it is, number and signature included, from another registry; verified at both ends.
+        """Copy a version with its number and signature from another registry. It is verified at both ends.
 
         Raises:
-            BrokenModelError: it does not pass verification there, or here afterwards.
+            BrokenModelError: the version does not pass verification in the source, or here afterwards.
             ConflictError: this registry has, or had, another version of that number.
-            PublishError: this storage refused; nothing became visible.
+            PublishError: this storage refused. No version became visible.
         """
         there = source.read(name, version)
         parts = {file: content for file, content in there.files.items() if file != MANIFEST_FILE}
@@ -150,9 +157,9 @@ class Registry:
         except ConflictError:
             if version not in self.state(name).versions:
                 raise
-        here = verify(self.storage, name, version, self._max_model_bytes, None)
+        here = verify(self.storage, name, version, replace(self._required, signatures=None))
         if here.files != there.files:
-            raise ConflictError(f"{name}@{version} is another version here; nothing was changed")
+            raise ConflictError(f"{name}@{version} is another version in the destination; no change was made")
         if there.signature not in (None, here.signature):
             self.storage.sign(name, version, there.signature)
         return self.read(name, version)
@@ -160,32 +167,33 @@ class Registry:
     def point_alias(
         self, name: str, alias: str, version: int, *, expect: int | None = None, reason: str | None = None
     ) -> Event:
-        """Point an alias at a version that passes verification: compare-and-set.
+        """Point an alias at a version that passes verification, by compare-and-set.
 
-        ``expect`` is the version that the alias must name at the instant of the move, ``NOWHERE`` where it must not be
-        there yet, None where it does not matter.
+        ``expect`` is the version that the alias must name at the instant of the move. ``NOWHERE``: the alias must not
+        exist yet. None: any version.
 
         Raises:
-            RegistryError: the alias is not a name, or the storage refused.
-            ConflictError: the alias does not name what was expected; it stays.
-            BrokenModelError: the version does not pass verification; the alias stays.
+            RegistryError: the alias is not a valid name, or the storage refused.
+            ConflictError: the alias does not name the expected version. It stays.
+            BrokenModelError: the version does not pass verification. The alias stays.
         """
         _check_alias(alias)
         self.read(name, version)
 
         def decide(state: ModelState) -> Event:
-            """The move, on the state as it is."""
+            """Move the alias if it names the expected version."""
             found = state.aliases.get(alias)
             if expect is not None and found != (expect or None):
-                raise ConflictError(f"{name}@{alias} names {found or 'nothing'}, not {expect or 'nothing'}; it stays")
+                names, expected = found or "no version", expect or "no version"
+                raise ConflictError(f"{name}@{alias} names {names}, but {expected} was expected; the alias stays")
             if version not in state.versions:
-                raise ConflictError(f"{name}@{version} has been removed; {name}@{alias} stays")
+                raise ConflictError(f"{name}@{version} was removed in the meantime; {name}@{alias} stays")
             return Event.alias_move(alias, found, version, reason)
 
         return self.storage.commit(name, decide)
 
     def drop_alias(self, name: str, alias: str, *, reason: str | None = None) -> Event:
-        """Take an alias away; the version that it named stays.
+        """Drop an alias. The version that it named stays.
 
         Raises:
             UnknownModelError: there is no such alias.
@@ -194,51 +202,51 @@ class Registry:
         _check_alias(alias)
 
         def decide(state: ModelState) -> Event:
-            """The end of the alias, if it is there."""
+            """Drop the alias if it exists."""
             if alias not in state.aliases:
-                raise UnknownModelError(f"there is no {name}@{alias}")
+                raise UnknownModelError(f"there is no {name}@{alias}; aliases: {_listed(sorted(state.aliases))}")
             return Event.alias_move(alias, state.aliases[alias], None, reason)
 
         return self.storage.commit(self._known(name), decide)
 
     def remove(self, name: str, version: int, *, reason: str | None = None) -> Event:
-        """Remove a version for ever; its number is never given again.
+        """Remove a version for good. Its number is never used again.
 
         Raises:
-            UnknownModelError: it is not there.
+            UnknownModelError: there is no such version.
             InUseError: an alias names it.
             RegistryError: the storage refused.
         """
 
         def decide(state: ModelState) -> Event:
-            """The removal, if nothing names the version at this instant."""
+            """Remove the version if no alias names it."""
             if version not in state.versions:
-                raise UnknownModelError(f"there is no {name}@{version}; versions: {_numbers(sorted(state.versions))}")
+                raise UnknownModelError(f"there is no {name}@{version}; versions: {_listed(sorted(state.versions))}")
             naming = sorted(alias for alias, to in state.aliases.items() if to == version)
             if naming:
-                raise InUseError(f"{name}@{version} is named by {', '.join(naming)}; point it elsewhere first")
+                raise InUseError(f"{name}@{version} is named by {', '.join(naming)}; move or remove the alias first")
             return Event(REMOVE, version, None, reason=reason)
 
         return self.storage.commit(self._known(name), decide)
 
     def history(self, name: str) -> History:
-        """What happened to a model; ``unrecorded`` tells what no line tells of.
+        """Return the history of a model. Changes without a line are those of ``unrecorded``.
 
         Raises:
-            RegistryError: it cannot be read.
+            RegistryError: the history cannot be read.
         """
         return self.storage.history(self._known(name))
 
     def unrecorded(self, name: str) -> Sequence[Event]:
-        """Changes that are there and not in the history; the next change records them.
+        """Return the changes that the history lacks. The next change records them.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the history or the state cannot be read.
         """
         return unrecorded(self.history(name).state(), self.state(name))
 
     def alias_at(self, name: str, alias: str, when: datetime) -> int | None:
-        """The version that an alias named at an instant, as the history tells it.
+        """Return the version that an alias named at an instant, from the history. None: it named none.
 
         Raises:
             RegistryError: the history cannot be read.
@@ -249,42 +257,43 @@ class Registry:
         """Store the detached signature of a version.
 
         Raises:
-            RegistryError: it could not be stored.
+            RegistryError: the signature could not be stored.
         """
         self.storage.sign(self._known(name), version, signature)
 
     def fingerprint(self) -> Hashable:
-        """Changes whenever a version, an alias or a signature appears, moves or goes.
+        """Return a value that changes with every version, alias and signature.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the storage cannot be listed.
         """
         return self.storage.fingerprint()
 
-    def survey(self) -> Sequence[Finding]:
-        """What lies in the storage that is no part of the layout.
+    def survey(self) -> Sequence[RegistryFinding]:
+        """Return a finding for each entry of the storage that is not part of its layout.
 
         Raises:
-            RegistryError: it cannot be told.
+            RegistryError: the storage cannot be listed.
         """
         return self.storage.survey()
 
     def _known(self, name: str) -> str:
-        if _checked(name) in self.names():
+        names = self.names()
+        if _checked(name) in names:
             return name
-        raise UnknownModelError(f"there is no model {name}")
+        raise UnknownModelError(f"there is no model {name}; models: {_listed(names)}")
 
 
 def _checked(name: str) -> str:
     if not is_name(name):
-        raise RegistryError("a model name is of lower-case letters, digits, '-' and '_'")
+        raise RegistryError("name of a model: accepted are 1 to 64 lower-case letters, digits, '-' and '_'")
     return name
 
 
 def _check_alias(alias: str) -> None:
     if not is_alias(alias):
-        raise RegistryError("an alias is of lower-case letters, digits, '-' and '_', and not a number")
+        raise RegistryError("alias: accepted are 1 to 64 lower-case letters, digits, '-' and '_', but not a number")
 
 
-def _numbers(versions: list[int]) -> str:
-    return ", ".join(map(str, versions[-10:])) or "none"
+def _listed(entries: Sequence[object]) -> str:
+    return ", ".join(map(str, entries[-10:])) or "none"

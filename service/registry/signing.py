@@ -1,8 +1,8 @@
-"""Who signed a version: key-based signatures of OpenSSF model-signing, made and checked without a network.
+"""Signatures of versions: key-based signatures of OpenSSF model-signing, made and checked without a network.
 
-A signature lies beside its version and covers every file of it, the manifest among them. What is checked are the very
-bytes that are about to be handed over: they are laid out in a private temporary folder for the library to look at, so
-that nobody can exchange a file between the check and the use. Needs the extra ``signing`` and a writable TMPDIR.
+A signature lies beside its version and covers every file of it, including the manifest. The checked bytes are those
+that are loaded: they are written to a private temporary folder for the library, so no file can be exchanged between
+the check and the use. Needs the extra ``signing`` and a writable TMPDIR.
 """
 
 import contextlib
@@ -23,40 +23,39 @@ FOLDER = "version"
 
 @dataclass(frozen=True)
 class TrustedKeys:
-    """PEM files of the public keys of which one must have signed; see ``service.registry.verification.Signatures``."""
+    """Public keys (PEM files), one of which must have signed. See ``service.registry.verification.Signatures``."""
 
     keys: tuple[Path, ...]
 
     def check(self, files: Mapping[str, bytes], signature: bytes | None) -> None:
-        """Accept the bytes of a version.
-
-        Raises:
-            BrokenModelError: nobody who is trusted signed them.
-        """
+        """See ``Signatures.check``."""
         if signature is None:
-            raise BrokenModelError("signature: there is none, and this service demands one")
-        with _laid_out(files) as folder:
+            raise BrokenModelError("signature: there is none, but one is required; sign the version")
+        with _in_folder(files) as folder:
             path = folder / SIGNATURE_FILE
             path.write_bytes(signature)
             if not any(_signed(key, folder, path) for key in self.keys):
-                raise BrokenModelError(f"signature: by none of the {len(self.keys)} trusted keys, or of other files")
+                raise BrokenModelError(
+                    f"signature: not made by one of the {len(self.keys)} trusted keys, or made for other files"
+                )
 
 
 def sign(files: Mapping[str, bytes], private_key: Path) -> bytes:
-    """The signature of these files with an elliptic-curve key in PEM; a password comes from CAZSL_KEY_PASSWORD.
+    """Sign files with an elliptic-curve key in PEM format. Its password comes from CAZSL_KEY_PASSWORD.
 
     Raises:
-        RegistryError: the key cannot be used.
+        RegistryError: the key cannot be read, has another type, or has another password.
     """
-    with _laid_out(files) as folder:
+    with _in_folder(files) as folder:
         path = folder / SIGNATURE_FILE
         password = os.environ.get("CAZSL_KEY_PASSWORD")
         try:
             config = signing.Config().use_elliptic_key_signer(private_key=private_key, password=password)
             config.sign(folder / FOLDER, path)
-        except Exception as error:  # the library's errors, and those of the one below it, share no root
+        except Exception as error:  # errors of the library and of its dependency share no base class
             raise RegistryError(
-                "the key cannot sign: expected an unlocked elliptic-curve private key in PEM"
+                "the key cannot sign: expected an elliptic-curve private key in PEM format, and its password in "
+                "CAZSL_KEY_PASSWORD if it has one"
             ) from error
         return path.read_bytes()
 
@@ -64,15 +63,15 @@ def sign(files: Mapping[str, bytes], private_key: Path) -> bytes:
 def _signed(key: Path, folder: Path, signature: Path) -> bool:
     try:
         verifying.Config().use_elliptic_key_verifier(public_key=key).verify(folder / FOLDER, signature)
-    except Exception as error:  # see above: whatever it is, the signature does not hold
+    except Exception as error:  # see above. In all cases the signature is not valid
         logging.getLogger(__name__).debug("signature refused", extra={"reason": type(error).__name__})
         return False
     return True
 
 
 @contextlib.contextmanager
-def _laid_out(files: Mapping[str, bytes]) -> Iterator[Path]:
-    """The files in a private folder, gone afterwards."""
+def _in_folder(files: Mapping[str, bytes]) -> Iterator[Path]:
+    """Write files to a private temporary folder, and delete it afterwards."""
     try:
         with tempfile.TemporaryDirectory(prefix="cazsl-") as name:
             folder = Path(name)
@@ -81,4 +80,6 @@ def _laid_out(files: Mapping[str, bytes]) -> Iterator[Path]:
                 (folder / FOLDER / file).write_bytes(content)
             yield folder
     except OSError as error:
-        raise RegistryError(f"signature: no temporary folder to check it in ({error.strerror}); set TMPDIR") from error
+        raise RegistryError(
+            f"signature: no temporary folder can be made ({error.strerror}); set TMPDIR to a writable one"
+        ) from error

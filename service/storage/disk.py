@@ -72,7 +72,7 @@ def _check_plain(descriptor: int, file: str) -> None:
     if not stat.S_ISREG(kind.st_mode):
         raise BrokenModelError(f"{file}: not a regular file")
     if kind.st_nlink > 1:
-        raise BrokenModelError(f"{file}: has a hard link, so it could be changed under another name; copy it instead")
+        raise BrokenModelError(f"{file}: a hard link, so it could be changed under another name; replace it by a copy")
 
 
 def reason(error: OSError) -> str:

@@ -1,10 +1,10 @@
-"""A program: do one change to a registry again and again, killed by SIGKILL at one more system call each time.
+"""Program that repeats one change of a registry and kills it with SIGKILL, each time one system call later.
 
     python kill_at_every_call.py REGISTRY ACTION
 
-Each round forks a child that makes the change to a fresh copy and dies right before its n-th call into the operating
-system, until one gets through. After each death the copy is looked at as a reader would, then the next change is made,
-and everything that was promised is checked. Prints one line per round: exit status, versions, champion.
+Each round forks a child that makes the change on a fresh copy and is killed before its n-th system call, until a child
+finishes. After each kill the copy is read, then the next change is made, and all promises of a storage are checked.
+Prints one line per round: exit status, versions, champion.
 """
 
 import os
@@ -19,7 +19,7 @@ from service.registry.registry import Registry
 from tests.fakes import publish_fake
 
 NAME = "push-indicator"
-SYSTEM = {"posix", "fcntl"}
+SYSTEM_MODULES = {"posix", "fcntl"}
 ACTIONS: dict[str, Callable[[Registry], object]] = {
     "publish": lambda registry: publish_fake(registry, alias=None),
     "alias": lambda registry: registry.point_alias(NAME, "champion", 2),
@@ -31,14 +31,14 @@ ACTIONS: dict[str, Callable[[Registry], object]] = {
 
 
 class Killer:
-    """A profiler that ends the process right before its n-th system call."""
+    """A profiler that kills the process before its n-th system call."""
 
     def __init__(self, calls: int) -> None:
         self.left = calls
 
     def __call__(self, frame: FrameType, event: str, argument: object) -> None:
-        """Called by the interpreter."""
-        if event == "c_call" and getattr(argument, "__module__", None) in SYSTEM:
+        """Count a system call, and kill the process if it is the n-th."""
+        if event == "c_call" and getattr(argument, "__module__", None) in SYSTEM_MODULES:
             self.left -= 1
             if self.left == 0:
                 sys.setprofile(None)
@@ -46,7 +46,7 @@ class Killer:
 
 
 def change(root: Path, action: str, calls: int) -> int:
-    """Make a change in a child that dies at a call; how the child ended."""
+    """Make a change in a child that is killed at a call. Return the exit code of the child."""
     child = os.fork()
     if child == 0:
         sys.setprofile(Killer(calls))
@@ -56,8 +56,8 @@ def change(root: Path, action: str, calls: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def look(registry: Registry) -> tuple[list[int], int]:
-    """What a reader sees right after the death: everything visible verifies, every alias means something."""
+def check_state(registry: Registry) -> tuple[list[int], int]:
+    """Check that every visible version verifies and every alias names one. Return the versions and the champion."""
     for name in registry.names():
         state = registry.state(name)
         for version in state.versions:
@@ -66,13 +66,13 @@ def look(registry: Registry) -> tuple[list[int], int]:
     return registry.versions(NAME), registry.aliases(NAME).get("champion", 0)
 
 
-def go_on(registry: Registry, ever: int) -> None:
-    """The next writer finds everything in order, or puts it in order."""
+def check_next_change(registry: Registry, highest: int) -> None:
+    """Publish once more, and check that numbers, history and staging are in order afterwards."""
     names = registry.names()
     for name in names:
         removed = registry.state(name).removed
         version = publish_fake(registry, name, alias=None)
-        assert version > ever if name == NAME else version >= 1
+        assert version > highest if name == NAME else version >= 1
         history = registry.history(name)
         assert registry.unrecorded(name) == ()
         assert history.problems == ()
@@ -86,16 +86,16 @@ def go_on(registry: Registry, ever: int) -> None:
 
 
 def main() -> None:
-    """Round after round, until a child lives."""
+    """Run rounds until a child finishes."""
     root, action = Path(sys.argv[1]), sys.argv[2]
-    ever = max(Registry(root).versions(NAME))
+    highest = max(Registry(root).versions(NAME))
     for calls in range(1, 10_000):
         copy = root.with_name(f"copy-{calls}")
         shutil.copytree(root, copy)
         status = change(copy, action, calls)
         registry = Registry(copy)
-        versions, champion = look(registry)
-        go_on(registry, max([ever, *versions]))
+        versions, champion = check_state(registry)
+        check_next_change(registry, max([highest, *versions]))
         print(status, ",".join(map(str, versions)), champion, flush=True)  # noqa: T201
         shutil.rmtree(copy)
         if status == 0:

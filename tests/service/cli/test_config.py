@@ -1,4 +1,4 @@
-"""``cazsl config`` shows what is in force."""
+"""Tests of ``cazsl config``."""
 
 import json
 from pathlib import Path
@@ -10,7 +10,7 @@ from service.settings import Settings
 
 
 def test_every_setting_is_shown_with_its_value_and_its_origin(tmp_path: Path) -> None:
-    """One line each: default, file, environment or option."""
+    """Every setting is one line with its value and its source: default, file, environment or option."""
     path = tmp_path / "cazsl.toml"
     path.write_text("grace_s = 7\n")
     result = CliRunner().invoke(
@@ -25,25 +25,25 @@ def test_every_setting_is_shown_with_its_value_and_its_origin(tmp_path: Path) ->
     assert rows["host"] == "127.0.0.1 default"
 
 
-def test_scripts_read_it_as_json() -> None:
-    """Values with their types, and where they came from."""
+def test_config_prints_json() -> None:
+    """The JSON document of ``cazsl config`` holds each value with its type and its source."""
     result = CliRunner().invoke(main, ["config", "--json"], env={"CAZSL_PORT": "9000", "CAZSL_KEYS": "/etc/keys"})
     found = json.loads(result.output)
     assert found["port"] == {"value": 9000, "from": "environment", "name": "CAZSL_PORT"}
     assert found["keys"]["value"] == "/etc/keys"
 
 
-def test_serving_and_showing_refuse_the_same() -> None:
-    """One line, exit status 1, no traceback."""
+def test_serve_and_config_refuse_the_same_settings() -> None:
+    """An unknown setting ends ``serve`` and ``config`` with exit status 1 and one line, without a traceback."""
     for command in ("serve", "config"):
         result = CliRunner().invoke(main, [command], env={"CAZSL_PROT": "1"})
         assert result.exit_code == 1
-        assert result.output.startswith("Error: CAZSL_PROT: received a name that is no setting")
+        assert result.output.startswith("Error: CAZSL_PROT: unknown setting")
         assert len(result.output.splitlines()) == 1
 
 
-def test_every_command_finds_the_registry_of_the_file(tmp_path: Path, project_root: Path) -> None:
-    """What the service serves is what `cazsl models` lists, without saying it twice; a broken file is one line."""
+def test_commands_use_the_registry_of_the_settings_file(tmp_path: Path, project_root: Path) -> None:
+    """Commands without --registry use the registry of the settings file. An invalid file is an error of one line."""
     path = tmp_path / "cazsl.toml"
     path.write_text(f'registry = "{project_root / "models"}"\n')
     listed = CliRunner().invoke(main, ["models", "list"], env={"CAZSL_CONFIG": str(path)})

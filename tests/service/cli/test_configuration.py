@@ -1,4 +1,4 @@
-"""What is in force, who said so, and nothing ignored in silence."""
+"""Tests of settings from options, environment and file: precedence, sources and errors."""
 
 from pathlib import Path
 
@@ -9,21 +9,21 @@ from service.errors import SettingsError
 
 
 def write(folder: Path, text: str) -> Path:
-    """A file of settings."""
+    """Write a file of settings."""
     path = folder / "cazsl.toml"
     path.write_text(text, encoding="utf-8")
     return path
 
 
 def origin(found: Configuration, name: str) -> str:
-    """Where a value came from, in words."""
+    """Return the source of a value in words."""
     return str(found.origins[name])
 
 
-def test_options_win_over_the_environment_the_environment_over_the_file(
+def test_options_precede_the_environment_and_the_environment_precedes_the_file(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Each value says where it came from; an option that was not given says nothing."""
+    """Options precede the environment, which precedes the file. Every value has its source."""
     path = write(tmp_path, 'host = "::1"\nport = 1\ngrace_s = 3\n')
     monkeypatch.setenv("CAZSL_PORT", "2")
     monkeypatch.setenv("CAZSL_HOST", "::2")
@@ -39,58 +39,58 @@ def test_options_win_over_the_environment_the_environment_over_the_file(
 
 
 def test_the_environment_names_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """CAZSL_CONFIG, unless the command line names another."""
+    """CAZSL_CONFIG names the file of settings if no option does."""
     monkeypatch.setenv("CAZSL_CONFIG", str(write(tmp_path, "port = 9001")))
     assert configure({}).settings.port == 9001
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "told"),
+    ("name", "value", "message"),
     [
-        ("CAZSL_PROT", "1", "CAZSL_PROT: received a name that is no setting; .* is CAZSL_PORT meant?"),
-        ("CAZSL_PORT", "70000", "CAZSL_PORT: Input should be less than .*70000.*port to listen on"),
+        ("CAZSL_PROT", "1", r"CAZSL_PROT: unknown setting\. .* Did you mean CAZSL_PORT\?"),
+        ("CAZSL_PORT", "70000", "CAZSL_PORT: Input should be less than .*70000.*Port to listen on"),
         ("CAZSL_GRACE_S", "soon", "CAZSL_GRACE_S: .*'soon'.*after SIGTERM, in s"),
         ("CAZSL_PORT", "tcp://10.0.0.1:8000", "CAZSL_PORT: .*enableServiceLinks"),
         ("CAZSL_PORT_8000_TCP", "tcp://10.0.0.1:8000", "CAZSL_PORT_8000_TCP: .*enableServiceLinks"),
-        ("CAZSL_CONFIG", "/nowhere/cazsl.toml", "/nowhere/cazsl.toml: received a name of no file"),
+        ("CAZSL_CONFIG", "/nowhere/cazsl.toml", "/nowhere/cazsl.toml: there is no such file"),
     ],
     ids=["unknown", "out of bounds", "no number", "link as value", "link as name", "no file"],
 )
-def test_what_cannot_be_in_the_environment_is_one_line_that_names_it(
-    monkeypatch: pytest.MonkeyPatch, name: str, value: str, told: str
+def test_invalid_environment_variable_is_one_line_with_its_name(
+    monkeypatch: pytest.MonkeyPatch, name: str, value: str, message: str
 ) -> None:
-    """And what is accepted, or what may have been meant."""
+    """An invalid environment variable is one line with its name, and the accepted values or a similar name."""
     monkeypatch.setenv(name, value)
-    with pytest.raises(SettingsError, match=told) as refused:
+    with pytest.raises(SettingsError, match=message) as refused:
         configure({})
     assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
-        ("prot = 1", "cazsl.toml: prot: .* is port meant?"),
+        ("prot = 1", r"cazsl.toml: prot: .* Did you mean port\?"),
         ("port = 70000", "cazsl.toml: port: Input should be less than"),
-        ("[service]\nport = 1", "cazsl.toml: service: received a name that is no setting"),
+        ("[service]\nport = 1", "cazsl.toml: service: unknown setting"),
         ("port = [1, 2]", "cazsl.toml: port: Input should be a valid integer"),
         ("port =", "cazsl.toml: cannot be read as TOML: Invalid value"),
     ],
 )
-def test_what_cannot_be_in_the_file_is_one_line_that_names_it(tmp_path: Path, text: str, told: str) -> None:
-    """The file, the name in it, and why."""
-    with pytest.raises(SettingsError, match=told) as refused:
+def test_invalid_entry_of_the_file_is_one_line_with_its_name(tmp_path: Path, text: str, message: str) -> None:
+    """An invalid entry is one line with the file, the name in it, and the reason."""
+    with pytest.raises(SettingsError, match=message) as refused:
         configure({}, write(tmp_path, text))
     assert "\n" not in str(refused.value)
 
 
-def test_an_option_that_cannot_be_is_named_as_it_was_written() -> None:
-    """Whoever wrote --port reads --port."""
+def test_invalid_option_is_named_as_it_was_written() -> None:
+    """An invalid value of --port is an error that names --port."""
     with pytest.raises(SettingsError, match="--port: Input should be less than"):
         configure({"port": 70000})
 
 
-def test_credentials_in_an_address_are_not_shown(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A registry may be told with a user and a password in front."""
+def test_credentials_in_an_address_are_masked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user and password in the address of a registry are masked in the output."""
     monkeypatch.setenv("CAZSL_REGISTRY", "s3://me:secret@bucket/models")
     shown = {name: value for name, value, _ in configure({}).lines()}
     assert shown["registry"] == f"s3://{MASK}@bucket/models"

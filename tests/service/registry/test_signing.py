@@ -1,4 +1,4 @@
-"""Signed versions: the right key and the right bytes, or nothing."""
+"""Tests of signatures: only versions signed by a trusted key are read."""
 
 import subprocess
 from pathlib import Path
@@ -16,7 +16,7 @@ NAME = "push-indicator"
 
 
 def key_pair(folder: Path, name: str) -> tuple[Path, Path]:
-    """A private and a public key, as the help of ``cazsl models sign`` says to make them."""
+    """Make a private and a public key with the commands in the help of ``cazsl models sign``."""
     private, public = folder / f"{name}.pem", folder / f"{name}.pub"
     for command in (
         ["openssl", "ecparam", "-name", "prime256v1", "-genkey", "-noout", "-out", str(private)],
@@ -35,38 +35,38 @@ def registry(tmp_path: Path) -> Registry:
     return found
 
 
-def demanding(registry: Registry, *keys: Path) -> Registry:
-    """The same registry for whoever demands a signature by one of these keys."""
+def requiring_signatures(registry: Registry, *keys: Path) -> Registry:
+    """Open the same registry so that a signature by one of these keys is required."""
     return Registry(registry.root, trusted_keys(":".join(map(str, keys))))
 
 
-def test_a_version_signed_by_a_trusted_key_is_read(registry: Registry, tmp_path: Path) -> None:
-    """One of several keys is enough."""
+def test_version_signed_by_a_trusted_key_is_read(registry: Registry, tmp_path: Path) -> None:
+    """A version signed by one of several trusted keys is read."""
     private, public = key_pair(tmp_path, "ours")
     _, other = key_pair(tmp_path, "other")
     registry.sign(NAME, 1, sign(registry.read(NAME, 1).files, private))
-    assert demanding(registry, other, public).read(NAME, 1).model == b"fine"
+    assert requiring_signatures(registry, other, public).read(NAME, 1).model == b"fine"
 
 
-def test_a_version_without_a_signature_by_a_trusted_key_is_refused(registry: Registry, tmp_path: Path) -> None:
-    """None, somebody else's, another version's, and noise."""
+def test_version_without_a_valid_signature_is_refused(registry: Registry, tmp_path: Path) -> None:
+    """A version with no signature, one by another key, one of another version, or noise is refused."""
     private, public = key_pair(tmp_path, "ours")
     stranger, _ = key_pair(tmp_path, "stranger")
-    reader = demanding(registry, public)
+    reader = requiring_signatures(registry, public)
     files = registry.read(NAME, 1).files
     with pytest.raises(BrokenModelError, match="signature: there is none"):
         reader.read(NAME, 1)
     for signature in (sign(files, stranger), sign(registry.read(NAME, 2).files, private), b"{}", b"\xff"):
         registry.sign(NAME, 1, signature)
-        with pytest.raises(BrokenModelError, match="signature: by none of the 1 trusted keys"):
+        with pytest.raises(BrokenModelError, match="signature: not made by one of the 1 trusted keys"):
             reader.read(NAME, 1)
     registry.sign(NAME, 1, sign(files, private))
     assert reader.read(NAME, 1).model == b"fine"
 
 
 @pytest.mark.parametrize("file", ["manifest.json", "model.onnx", "card.md"])
-def test_a_signature_covers_every_byte(registry: Registry, tmp_path: Path, file: str) -> None:
-    """Bytes that another manifest vouches for are not those that were signed."""
+def test_signature_covers_every_byte(registry: Registry, tmp_path: Path, file: str) -> None:
+    """A signature is invalid for files with a changed byte or an additional file."""
     private, public = key_pair(tmp_path, "ours")
     files = registry.read(NAME, 1).files
     signature = sign(files, private)
@@ -79,10 +79,10 @@ def test_a_signature_covers_every_byte(registry: Registry, tmp_path: Path, file:
         keys.check({**files, "extra": b""}, signature)
 
 
-def test_a_service_that_demands_signatures_serves_what_is_signed(registry: Registry, tmp_path: Path) -> None:
-    """An unsigned version is a problem with its name; signing it is noticed at the next look."""
+def test_service_that_requires_signatures_serves_signed_versions(registry: Registry, tmp_path: Path) -> None:
+    """An unsigned version is reported by its name. Once it is signed, the next poll serves it."""
     private, public = key_pair(tmp_path, "ours")
-    models = LoadedModels(demanding(registry, public), load_fake)
+    models = LoadedModels(requiring_signatures(registry, public), load_fake)
     models.refresh()
     assert any("push-indicator@1 is broken and not served: signature" in text for text in models.snapshot.problems)
     for version in (1, 2):
@@ -91,8 +91,8 @@ def test_a_service_that_demands_signatures_serves_what_is_signed(registry: Regis
     assert (models.snapshot.versions(NAME), models.snapshot.problems) == ([1, 2], ())
 
 
-def test_keys_that_are_none_are_told(registry: Registry, tmp_path: Path) -> None:
-    """A service that was told to demand signatures never starts without the means to."""
+def test_invalid_keys_are_errors(registry: Registry, tmp_path: Path) -> None:
+    """A key that cannot be read, or is not of the needed kind, is an error before the service starts."""
     private, _ = key_pair(tmp_path, "ours")
     assert trusted_keys("") is None
     with pytest.raises(RegistryError, match="cannot be read"):

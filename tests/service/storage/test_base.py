@@ -107,9 +107,9 @@ def test_alias_moves_only_from_the_expected_version(registry: Registry, place: C
     publish_fake(registry, alias=None)
     other = place("models")
     registry.point_alias(NAME, "champion", 2, expect=1)
-    with pytest.raises(ConflictError, match="names 2, not 1; it stays"):
+    with pytest.raises(ConflictError, match="names 2, but 1 was expected; the alias stays"):
         other.point_alias(NAME, "champion", 3, expect=1)
-    with pytest.raises(ConflictError, match="names 2, not nothing"):
+    with pytest.raises(ConflictError, match="names 2, but no version was expected"):
         other.point_alias(NAME, "champion", 3, expect=NOWHERE)
     other.point_alias(NAME, "canary", 3, expect=NOWHERE)
     assert registry.aliases(NAME) == {"canary": 3, "champion": 2}
