@@ -1,4 +1,4 @@
-"""The paper's equations in numpy, double precision: written from the formulas, and never calling what they check."""
+"""The paper's equations in numpy, in double precision, written from the formulas without the code under test."""
 
 from collections.abc import Mapping
 
@@ -11,24 +11,24 @@ Weights = Mapping[str, Tensor]
 
 
 def array_of(tensor: Tensor) -> Array:
-    """The numbers of a tensor in double precision."""
+    """Return the numbers of a tensor in double precision."""
     array: Array = tensor.detach().cpu().double().numpy()
     return array
 
 
 def relu(value: Array) -> Array:
-    """The larger of a value and zero."""
+    """Return the larger of a value and zero."""
     return np.maximum(value, 0.0)
 
 
 def dense(weights: Weights, name: str, value: Array) -> Array:
-    """W x + b of rows."""
+    """Compute W x + b of rows."""
     result: Array = value @ array_of(weights[f"{name}.weight"]).T + array_of(weights[f"{name}.bias"])
     return result
 
 
 def convolution(weights: Weights, name: str, images: Array) -> Array:
-    """A 3x3 cross-correlation of (n, channels, height, width), padded with zeros to the same size."""
+    """Compute a 3x3 cross-correlation of (n, channels, height, width), padded with zeros to the same size."""
     kernel, bias = array_of(weights[f"{name}.weight"]), array_of(weights[f"{name}.bias"])
     padded = np.pad(images, ((0, 0), (0, 0), (1, 1), (1, 1)))
     height, width = images.shape[2:]
@@ -41,7 +41,7 @@ def convolution(weights: Weights, name: str, images: Array) -> Array:
 
 
 def batch_norm(weights: Weights, name: str, images: Array, fitted: bool) -> Array:
-    """To zero mean and unit variance per channel, of the batch in training and of the record once fitted."""
+    """Normalise each channel to zero mean and unit variance, of the batch in training and of the record once fitted."""
     if fitted:
         mean, variance = array_of(weights[f"{name}.running_mean"]), array_of(weights[f"{name}.running_var"])
     else:
@@ -52,14 +52,14 @@ def batch_norm(weights: Weights, name: str, images: Array, fitted: bool) -> Arra
 
 
 def max_pool_2(images: Array) -> Array:
-    """The largest of each 2x2 block."""
+    """Return the largest value of each 2x2 block."""
     n, channels, height, width = images.shape
     result: Array = images.reshape(n, channels, height // 2, 2, width // 2, 2).max(axis=(3, 5))
     return result
 
 
 def average_pool_8(images: Array) -> Array:
-    """The mean of each 8x8 block, blocks 4 apart."""
+    """Return the mean of each 8x8 block, blocks 4 apart."""
     places = range(0, images.shape[2] - 7, 4)
     rows = [[images[:, :, i : i + 8, j : j + 8].mean(axis=(2, 3)) for j in places] for i in places]
     result: Array = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
@@ -67,7 +67,7 @@ def average_pool_8(images: Array) -> Array:
 
 
 def visual_encoding(weights: Weights, views: Array, fitted: bool) -> Array:
-    """Two times (conv, batch norm, ReLU, max-pool), 4x8x8 values, ReLU, dense: (objects, 256)."""
+    """Apply twice (convolution, batch norm, ReLU, max-pool), then flatten 4x8x8 values, ReLU, dense: (objects, 256)."""
     value = views
     for conv, norm in ((0, 1), (4, 5)):
         value = convolution(weights, f"context_encoder.convolutions.{conv}", value)
@@ -79,10 +79,12 @@ def visual_encoding(weights: Weights, views: Array, fitted: bool) -> Array:
 def network(
     weights: Weights, method: str, pusher: Array, context: Array, fitted: bool = True
 ) -> tuple[Array, Array, Array | None]:
-    """Mean, log std (objects, pushes, 3) and what the context gave (objects, 256), of the paper's networks.
+    """Predict with the paper's networks, which give each push its own copy of the context.
 
-    ``context`` is (objects, 36), (objects, 1, 32, 32), or whatever for FCN. Each push is taken with its own copy of the
-    context, as the paper writes it.
+    ``context`` is (objects, 36) or (objects, 1, 32, 32). FCN ignores it.
+
+    Returns:
+        Mean and log std, (objects, pushes, 3) each, and the encoding of the context, (objects, 256), if there is one.
     """
     visual = context.ndim == 4
     given: Array | None = None
@@ -106,7 +108,7 @@ def network(
 
 
 def phi(weights: Weights, context: Array) -> Array:
-    """W2 max(0, W1 x) of vectors, W avg-pool(max(0, conv(x))) of images."""
+    """Compute phi: W2 max(0, W1 x) of vectors, W avg-pool(max(0, conv(x))) of images."""
     if context.ndim == 2:
         return dense(weights, "distance.phi.2", relu(dense(weights, "distance.phi.0", context)))
     pooled = average_pool_8(relu(convolution(weights, "distance.phi.0", context)))
@@ -114,21 +116,21 @@ def phi(weights: Weights, context: Array) -> Array:
 
 
 def regulariser(mask: Array, distance: Array, lambda_1: float, lambda_2: float) -> float:
-    """lambda_1 (|m - m'| - lambda_2 d)^2, the mean over pairs of the two halves of a batch."""
+    """Compute lambda_1 (|m - m'| - lambda_2 d)^2, the mean over pairs of the two halves of a batch."""
     half = len(mask) // 2
     apart = np.sqrt(((mask[:half] - mask[half : 2 * half]) ** 2).sum(axis=-1))
     return float((lambda_1 * (apart - lambda_2 * distance) ** 2).mean())
 
 
 def softmax(value: Array) -> Array:
-    """Shares that sum to 1 over the last axis."""
+    """Return shares that sum to 1 over the last axis."""
     grown = np.exp(value - value.max(axis=-1, keepdims=True))
     result: Array = grown / grown.sum(axis=-1, keepdims=True)
     return result
 
 
 def attention(weights: Weights, name: str, queries: Array, keys: Array, values: Array) -> Array:
-    """Of one object: four heads of width 32, softmax(q k / sqrt(32)) v, mixed, added to the queries, normalised."""
+    """Compute attention of one object: four heads of width 32, softmax(q k / sqrt(32)) v, mixed, added, normalised."""
     q, k, v = (
         dense(weights, f"{name}.{part}", of) for part, of in (("query", queries), ("key", keys), ("value", values))
     )
@@ -144,7 +146,7 @@ def attention(weights: Weights, name: str, queries: Array, keys: Array, values: 
 
 
 def points(weights: Weights, name: str, inputs: Array, targets: Array) -> Array:
-    """A dense layer of input and target together, then self-attention twice: one object, (n, 128)."""
+    """Encode inputs and targets of one object by a dense layer, then self-attention twice: (n, 128)."""
     encoded = dense(weights, f"{name}.embed", np.concatenate([inputs, targets], axis=-1))
     for layer in range(2):
         encoded = attention(weights, f"{name}.layers.{layer}", encoded, encoded, encoded)
@@ -152,7 +154,7 @@ def points(weights: Weights, name: str, inputs: Array, targets: Array) -> Array:
 
 
 def latent(weights: Weights, inputs: Array, targets: Array) -> tuple[Array, Array]:
-    """Mean and std of z given these points of one object: (128,) each, std = 0.1 + 0.9 sigmoid."""
+    """Compute mean and std of z given these points of one object: (128,) each, std = 0.1 + 0.9 sigmoid."""
     hidden = relu(dense(weights, "latent_hidden", points(weights, "latent_points", inputs, targets).mean(axis=0)))
     std = 0.1 + 0.9 / (1.0 + np.exp(-dense(weights, "latent_std", hidden)))
     return dense(weights, "latent_mean", hidden), std
@@ -161,7 +163,7 @@ def latent(weights: Weights, inputs: Array, targets: Array) -> tuple[Array, Arra
 def neural_process(
     weights: Weights, support_inputs: Array, support_targets: Array, inputs: Array, z: Array
 ) -> tuple[Array, Array]:
-    """Mean and log std (n, 3) of inputs (n, 3) of one object, given its support and z, without dropout."""
+    """Predict mean and log std (n, 3) of inputs (n, 3) of one object, given its support and z, without dropout."""
     encoded = points(weights, "support_points", support_inputs, support_targets)
     found, keys = dense(weights, "place", inputs), dense(weights, "place", support_inputs)
     for layer in range(2):

@@ -1,6 +1,6 @@
-"""What the trainer's tests share: the rule that skips them without the trainer's extra, small data and finished runs.
+"""Fixtures of the trainer's tests, small data and finished runs, and the rule that skips them without the extra.
 
-This file is loaded even where torch is absent, so whatever needs torch is imported inside the fixtures.
+This file is loaded even without torch, so modules that need torch are imported inside the fixtures.
 """
 
 import math
@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 def pytest_pycollect_makemodule(module_path: Path) -> None:
-    """Skip this folder where the trainer's extra is not installed: a service needs neither torch nor MuJoCo."""
+    """Skip this folder without the trainer's extra, as a service needs neither torch nor MuJoCo."""
     for package in ("torch", "mujoco", "onnxscript"):
         pytest.importorskip(package, reason=f"{module_path.parent.name} needs the extra 'training': no {package}")
 
 
 @pytest.fixture(scope="session", autouse=True)
 def one_thread() -> Iterator[None]:
-    """Keep torch on one thread: these batches gain nothing from more, and on busy cores threads wait for each other."""
+    """Keep torch on one thread, as small batches are no faster on more, and threads on busy cores wait."""
     import torch
 
     before = torch.get_num_threads()
@@ -40,7 +40,7 @@ def one_thread() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def recipe() -> "Recipe":
-    """The paper's masked and regularised network for a few epochs."""
+    """Recipe of the paper's masked and regularised network for a few epochs."""
     from training.fitting.recipe import Recipe
 
     return Recipe(
@@ -61,7 +61,7 @@ def recipe() -> "Recipe":
 
 @pytest.fixture(scope="session")
 def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One to three pushes of each of the 250 objects, simple enough to learn: objects with more weights turn more."""
+    """Folder with one to three simple pushes of each of the 250 objects: objects with more weights turn more."""
     folder, rng = tmp_path_factory.mktemp("data"), np.random.default_rng(20)
     declare_dataset(folder, {"source": "synthetic pushes of a test"})
     for number, descriptor in enumerate(omnipush_descriptors()):
@@ -76,7 +76,7 @@ def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
-    """A finished run of the paper's network on the synthetic pushes; not to be changed."""
+    """Finished run of the paper's network on the synthetic pushes; not to be changed."""
     from training.fitting.samples import read_training_data
     from training.fitting.training_loop import fit
 
@@ -87,7 +87,7 @@ def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, r
 
 @pytest.fixture(scope="session")
 def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
-    """A finished run of the baseline without context on the synthetic pushes; not to be changed."""
+    """Finished run of the baseline without context on the synthetic pushes; not to be changed."""
     from training.fitting.samples import read_training_data
     from training.fitting.training_loop import fit
 
@@ -99,7 +99,7 @@ def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe
 
 @pytest.fixture(scope="session")
 def viewed_pushes(data_folder: Path) -> Pushes:
-    """The synthetic pushes with made-up views: each object its own noise."""
+    """Synthetic pushes with made-up views: noise of its own for each object."""
     pushes = read_folder(data_folder)
     shape = (len(pushes.descriptors), 1, 32, 32)
     return pushes.with_views(np.random.default_rng(5).integers(256, size=shape, dtype=np.uint8))
@@ -107,7 +107,7 @@ def viewed_pushes(data_folder: Path) -> Pushes:
 
 @pytest.fixture(scope="session")
 def visual_run(tmp_path_factory: pytest.TempPathFactory, viewed_pushes: Pushes, recipe: "Recipe") -> Path:
-    """A finished run with visual contexts on the synthetic pushes; not to be changed."""
+    """Finished run with visual contexts on the synthetic pushes; not to be changed."""
     from training.fitting.samples import TrainingData
     from training.fitting.training_loop import fit
 

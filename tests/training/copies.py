@@ -1,4 +1,4 @@
-"""Synthetic copies of Omnipush for tests: laid out as published, with plausible statistics, never called real."""
+"""Synthetic copies of Omnipush for tests: laid out as published, with plausible statistics, declared as synthetic."""
 
 import math
 from collections.abc import Iterable
@@ -8,13 +8,16 @@ import numpy as np
 
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.files import Array, Variant
+from training.omnipush.published import omnipush_descriptors
 from training.omnipush.pushes import write_object
+from training.omnipush.views import view_file_name
+from training.simulation import drawing
 
 SOURCE = "synthetic pushes of a test"
 
 
 def plausible_pushes(count: int, seed: int) -> tuple[Array, Array]:
-    """Pushers around an object and outcomes with the published spread, (count, 3) each."""
+    """Draw pushers around an object and outcomes with the published spread, (count, 3) each."""
     rng = np.random.default_rng(seed)
     bearing, radius = rng.uniform(-math.pi, math.pi, count), rng.uniform(0.075, 0.084, count)
     angle = np.angle(np.exp(1j * (bearing + math.pi + rng.normal(0.0, 0.2, count))))
@@ -25,7 +28,7 @@ def plausible_pushes(count: int, seed: int) -> tuple[Array, Array]:
 def write_surface(
     folder: Path, descriptors: Iterable[str], rows: int = 250, variants: Iterable[Variant] = (Variant.RAW,)
 ) -> Path:
-    """A folder of these objects, declared as what it is."""
+    """Write a folder of synthetic pushes of these objects, with a declaration."""
     declare_dataset(folder, {"source": SOURCE})
     for number, descriptor in enumerate(descriptors):
         write_object(folder, descriptor, *plausible_pushes(rows, number), tuple(variants))
@@ -33,10 +36,20 @@ def write_surface(
 
 
 def write_views(folder: Path, descriptors: Iterable[str], size: int = 481) -> Path:
-    """A folder of blank views; one file under many names."""
+    """Write a folder of blank views, which are links to one file."""
     folder.mkdir(parents=True, exist_ok=True)
     blank = folder / "blank.npy"
     np.save(blank, np.zeros((size, size), dtype=np.uint8))
     for descriptor in descriptors:
-        (folder / f"shape_{descriptor}.npy").symlink_to(blank.resolve())
+        (folder / view_file_name(descriptor)).symlink_to(blank.resolve())
+    return folder
+
+
+def write_linked_views(folder: Path, without: str = "") -> Path:
+    """Draw the view of the first object into a declared folder, and link it as the views of all others but one."""
+    first, *others = (folder / view_file_name(descriptor) for descriptor in omnipush_descriptors())
+    drawing.write_views(folder, omnipush_descriptors()[:1], quiet=True)
+    for path in others:
+        if path.name != without:
+            path.hardlink_to(first)
     return folder

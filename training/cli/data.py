@@ -1,4 +1,4 @@
-"""``cazsl-train data``: look at folders of pushes, and write them again in the release's variants."""
+"""``cazsl-train data``: check folders of pushes, write report pages of them, and export them in other variants."""
 
 import json
 from pathlib import Path
@@ -6,11 +6,11 @@ from typing import Final
 
 import click
 
-from training.cli.errors import mend
+from training.cli.errors import one_line_errors
 from training.inspection.inspection import inspect
 from training.inspection.text import inspection_document, inspection_lines
 from training.omnipush.files import Variant
-from training.omnipush.pushes import export_variants
+from training.omnipush.pushes import export_variants, read_folder
 
 VARIANTS: Final = {"raw": (Variant.RAW,), "normalised": (Variant.NORMALISED,), "both": tuple(Variant)}
 folder_argument = click.argument("folder", type=click.Path(path_type=Path))
@@ -18,24 +18,25 @@ folder_argument = click.argument("folder", type=click.Path(path_type=Path))
 
 @click.group("data")
 def data() -> None:
-    """Look at folders of pushes, and write them again as Omnipush was published.
+    """Check folders of pushes, draw them, and export them as Omnipush was published.
 
     \b
-    cazsl-train data check data/omnipush           what a copy of Omnipush holds, and what is wrong with it
+    cazsl-train data check data/omnipush           content and faults of a copy of Omnipush
+    cazsl-train data report data/simulated/abs     a page with statistics, histograms and a gallery of pushes
     cazsl-train data export data/simulated/abs OUT the same pushes, raw and normalised
     """
 
 
-@data.command("check", short_help="Is this folder whole, like Omnipush, and fit to train on?")
+@data.command("check", short_help="Check that a folder is complete, like Omnipush, and fit to train on.")
 @folder_argument
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of the table.")
-@mend
+@one_line_errors
 def check(folder: Path, as_json: bool) -> None:
-    """Read a copy of Omnipush, or anything in its format, and tell what it holds and what is odd.
+    """Check a copy of Omnipush, or a folder in its format, and print its content and its faults.
 
     FOLDER is one surface's folder, or one above several (abs or 0,1,2_weights, plywood, top-down_view). Every file is
-    read; objects are matched to the published lists up to rotation by whole sides. Exit status 1 means that training
-    on it would be wrong: the errors say why. Warnings are for you to judge.
+    read. Objects are matched to the published lists up to rotation by whole sides. Exit status 1 means that training
+    on the folder would be wrong, for the reasons listed as errors. Warnings are for you to judge.
     """
     inspection = inspect(folder)
     if as_json:
@@ -46,6 +47,28 @@ def check(folder: Path, as_json: bool) -> None:
         click.get_current_context().exit(1)
 
 
+@data.command("report", short_help="Write a page with statistics, histograms and a gallery of pushes.")
+@folder_argument
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder of the page and its images. [default: FOLDER/report]",
+)
+@one_line_errors
+def report(folder: Path, out: Path | None) -> None:
+    """Write report.md, histograms.png and pushes.png of one surface's pushes in FOLDER.
+
+    The page has the statistics of the pushes beside the published ones of Omnipush, the quantiles of displacement and
+    rotation, histograms, and a gallery of pushes. The same pushes give the same files.
+    """
+    pushes = read_folder(folder)
+    from training.inspection.dataset_page import write_report  # slow to import, as matplotlib is
+
+    page, *images = write_report(pushes, out or folder / "report")
+    names = " and ".join(path.name for path in images)
+    click.echo(f"{page}: {len(pushes.descriptors)} objects, {pushes.count} pushes, with {names}; next: read {page}")
+
+
 @data.command("export", short_help="Write a folder again, raw, normalised or both.")
 @folder_argument
 @click.argument("target", type=click.Path(path_type=Path))
@@ -54,10 +77,10 @@ def check(folder: Path, as_json: bool) -> None:
     type=click.Choice(list(VARIANTS)),
     default="both",
     show_default=True,
-    help="raw: metres and radians; normalised: less the published mean, divided by the published deviation.",
+    help="raw: metres and radians. normalised: minus the published mean, divided by the published deviation.",
 )
-@mend
+@one_line_errors
 def export(folder: Path, target: Path, variant: str) -> None:
-    """Write one surface's pushes of FOLDER into TARGET as Omnipush was published; its label goes with them."""
+    """Write one surface's pushes of FOLDER into TARGET as Omnipush was published, with their declared source."""
     count = export_variants(folder, target, VARIANTS[variant])
     click.echo(f"{target}: {count} objects, {variant}; next: cazsl-train data check {target}")

@@ -1,4 +1,4 @@
-"""What a person sees when a command cannot do its work: one line that names the fault, and exit status 1."""
+"""Errors of a command: one line that names the fault, and exit status 1."""
 
 import functools
 from collections.abc import Callable
@@ -11,8 +11,8 @@ from service.errors import CazslError
 P = ParamSpec("P")
 
 
-def mend(command: Callable[P, None]) -> Callable[P, None]:
-    """An error of ours, or a file that the system refuses, becomes one line and exit status 1."""
+def one_line_errors(command: Callable[P, None]) -> Callable[P, None]:
+    """Turn an error of this project, or of the system about a file, into one line and exit status 1."""
 
     @functools.wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
@@ -21,8 +21,8 @@ def mend(command: Callable[P, None]) -> Callable[P, None]:
         except CazslError as error:
             raise click.ClickException(str(error)) from error
         except OSError as error:
-            if error.filename is None:  # nothing a person could mend by a path: let it be seen whole
+            if error.filename is None:  # without a path the user cannot fix it: keep the traceback
                 raise
-            raise click.ClickException(f"{error.filename}: {error.strerror}; mend that or name another path") from error
+            raise click.ClickException(f"{error.filename}: {error.strerror}; fix that or name another path") from error
 
     return run

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from training.cli.simulation import DEFAULT_DATA
+from training.omnipush.layout import DEFAULT_DATA
 
 data_option = click.option(
     "--data",
@@ -12,12 +12,12 @@ data_option = click.option(
     type=click.Path(file_okay=False, path_type=Path),
     default=DEFAULT_DATA,
     show_default=True,
-    help="A folder of Omnipush-format files.",
+    help="Folder of pushes in Omnipush's format.",
 )
 views_option = click.option(
     "--views",
     type=click.Path(file_okay=False, path_type=Path),
-    help="A folder of top-down views, for visual contexts. [default: top-down_view beside the data]",
+    help="Folder of top-down views, for visual contexts. [default: top-down_view beside the data]",
 )
 registry_option = click.option(
     "--registry",
@@ -25,11 +25,6 @@ registry_option = click.option(
     envvar="CAZSL_REGISTRY",
     default=Path("models"),
     show_default=True,
-    help="The folder of models.",
+    help="Folder of the model registry.",
 )
 run_argument = click.argument("run", type=click.Path(file_okay=False, path_type=Path))
-
-
-def data_words(folder: Path, views: Path | None) -> str:
-    """The options that the next command needs as well."""
-    return ("" if folder == DEFAULT_DATA else f" --data {folder}") + ("" if views is None else f" --views {views}")

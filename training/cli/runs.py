@@ -8,14 +8,15 @@ import click
 
 from service.model.reference import DEFAULT_ALIAS, is_alias
 from service.registry.registry import NOWHERE, Registry
-from training.cli.errors import mend
-from training.cli.options import data_option, data_words, registry_option, run_argument, views_option
+from training.cli.errors import one_line_errors
+from training.cli.options import data_option, registry_option, run_argument, views_option
 from training.fitting.evaluation import Evaluation
 from training.fitting.evaluation import evaluate as evaluate_network
 from training.fitting.recipe import SET_UPS, read_recipe
 from training.fitting.run_folder import load_run
 from training.fitting.samples import read_pushes, read_training_data
 from training.fitting.training_loop import fit
+from training.omnipush.layout import data_options
 from training.omnipush.views import convention_of, views_beside
 from training.publishing.publish import publish as publish_network
 
@@ -26,14 +27,14 @@ RUNS: Final = Path("runs")
 @click.argument("recipe")
 @data_option
 @views_option
-@click.option("--run", type=click.Path(file_okay=False, path_type=Path), help="The run folder. [default: runs/RECIPE]")
-@click.option("--set-up", type=click.Choice([*SET_UPS]), help="Train the recipe on this set-up instead.")
-@mend
+@click.option("--run", type=click.Path(file_okay=False, path_type=Path), help="Run folder. [default: runs/RECIPE]")
+@click.option("--set-up", type=click.Choice([*SET_UPS]), help="Set-up to train on instead of the recipe's.")
+@one_line_errors
 def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, set_up: str | None) -> None:
-    """Train a RECIPE: the name of one that ships (push-indicator, push-visual, push-none, paper) or a .toml file.
+    """Train a RECIPE: a recipe that ships (push-indicator, push-visual, push-none, paper) or a .toml file.
 
     \b
-    To serve what learnt from all objects, with the figures of a run of RECIPE that held some out:
+    To serve a model of all objects, with the figures of a run of RECIPE that held some out:
     cazsl-train fit RECIPE --set-up all-objects
     cazsl-train publish runs/RECIPE-all-objects --measured runs/RECIPE
     """
@@ -42,14 +43,14 @@ def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, 
     wanted = wanted if set_up is None else replace(wanted, set_up=set_up)
     fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views), run)
     following = f"evaluate {run}" if wanted.split().test else f"publish {run} --measured RUN"
-    click.echo(f"weights and metrics are in {run}; next: cazsl-train {following}{data_words(folder, views)}")
+    click.echo(f"weights and metrics are in {run}; next: cazsl-train {following}{data_options(folder, views)}")
 
 
 @click.command("evaluate")
 @run_argument
 @data_option
 @views_option
-@mend
+@one_line_errors
 def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects."""
     recipe, network, _ = load_run(run)
@@ -61,7 +62,7 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     source = data.origin.get("held_out_source", data.origin["source"])
     click.echo(f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {source}")
     click.echo(_figures(found))
-    click.echo(f"next: cazsl-train publish {run}{data_words(folder, views)}")
+    click.echo(f"next: cazsl-train publish {run}{data_options(folder, views)}")
 
 
 @click.command("publish")
@@ -70,32 +71,35 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
 @views_option
 @registry_option
 @click.option(
-    "--alias", default=DEFAULT_ALIAS, show_default=True, help="Point this alias here if it names nothing yet."
+    "--alias", default=DEFAULT_ALIAS, show_default=True, help="Alias to point to the version if it does not exist yet."
 )
-@click.option("--no-alias", is_flag=True, help="Publish only, even as the first version.")
+@click.option("--no-alias", is_flag=True, help="Set no alias, even for the first version.")
 @click.option(
     "--measured",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Of a RUN on all objects: a run of the same recipe that held some out, whose figures these are.",
+    help="For a RUN on all objects: the run of the same recipe that held some out and gives the figures.",
 )
-@mend
+@one_line_errors
 def publish(
     run: Path, folder: Path, views: Path | None, registry: Path, alias: str, no_alias: bool, measured: Path | None
 ) -> None:
-    """Publish a finished RUN as the next version of its model; a running service picks it up by itself.
+    """Publish a finished RUN as the next version of its model. A running service loads it by itself.
 
-    A first version becomes the champion. Later ones are served by their number, and an alias that already serves is
-    moved by cazsl models promote, which compares the two first.
+    The first version becomes the champion. Later versions are served by their number. To move an alias that exists,
+    use cazsl models promote, which compares the two versions first.
     """
     recipe, network, trained_on = load_run(run)
     pushes = read_pushes(folder, recipe.context_kind, views)
     if not is_alias(alias):
-        raise click.ClickException("an alias is of lower-case letters, digits, '-' and '_', and not a number")
+        raise click.ClickException(
+            f"--alias: {alias} is not an alias; use lower-case letters, digits, '-' and '_', and not a number"
+        )
     judged = None if measured is None else load_run(measured)
     for path, origin in ((run, trained_on), *([] if judged is None else [(measured, judged[2])])):
         if pushes.digest != origin["sha256"]:
             raise click.ClickException(
-                f"{folder} is not the data that {path} was trained on; name that with --data, other views with --views"
+                f"{folder} is not the data that {path} was trained on; name its data with --data, other views with "
+                "--views"
             )
     store = Registry(registry)
     convention = None if pushes.views is None else convention_of(views or views_beside(folder))
@@ -110,7 +114,7 @@ def publish(
 
 
 def _figures(found: Evaluation) -> str:
-    """A line of names above a line of numbers."""
+    """Return a line of names above a line of numbers."""
     columns = {
         "RMSE": f"{found.rmse:.4f}",
         "STD": f"{found.std:.4f}",

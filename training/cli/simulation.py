@@ -1,4 +1,4 @@
-"""``cazsl-train simulate`` and ``images``: the pushes and the pictures that stand in for Omnipush's."""
+"""``cazsl-train simulate`` and ``images``: pushes and views that stand in for those of Omnipush."""
 
 import hashlib
 import time
@@ -7,9 +7,10 @@ from typing import Final
 
 import click
 
-from training.cli.errors import mend
+from training.cli.errors import one_line_errors
 from training.inspection.statistics import compare_statistics, missed
 from training.inspection.text import statistics_lines
+from training.omnipush.layout import SIMULATED
 from training.omnipush.published import different_surfaces, omnipush_descriptors, published_normalisation
 from training.omnipush.pushes import read_folder
 from training.omnipush.views import VIEWS_FOLDER, read_views
@@ -17,24 +18,24 @@ from training.simulation.dataset import SimulationPlan, simulate_dataset
 from training.simulation.drawing import write_views
 from training.simulation.surfaces import ABS, SURFACES
 
-SIMULATED: Final = Path("data/simulated")
-DEFAULT_DATA: Final = SIMULATED / ABS.name
 DEFAULT_VIEWS: Final = SIMULATED / VIEWS_FOLDER
 DEFAULT_CAMERA_VIEWS: Final = SIMULATED / f"{VIEWS_FOLDER}-camera"
 
 
 @click.command("simulate")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=SIMULATED)
-@click.option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="The plate.")
+@click.option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="Surface.")
 @click.option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that is random.")
-@click.option("--threads", type=click.IntRange(1, 1024), help="Threads; the files are the same. [default: all cores]")
-@mend
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
+@click.option(
+    "--threads", type=click.IntRange(1, 1024), help="Threads. Files do not depend on it. [default: all cores]"
+)
+@one_line_errors
 def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads: int | None) -> None:
     """Simulate the default datasets in Omnipush's file format: FOLDER/abs, FOLDER/plywood, FOLDER/top-down_view.
 
     All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, in MuJoCo, and drawn from above.
-    What is already there stays; the default FOLDER is data/simulated.
+    Existing files are kept. The default FOLDER is data/simulated.
     """
     for name in SURFACES if surface == "all" else (surface,):
         objects = omnipush_descriptors() if name == ABS.name else different_surfaces().test
@@ -43,11 +44,11 @@ def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads:
         simulated = simulate_dataset(plan, folder / name, threads)
         _describe_pushes(folder / name, simulated, time.perf_counter() - started)
         write_views(folder / VIEWS_FOLDER, objects)
-    click.echo(f"{folder / VIEWS_FOLDER}: what they look like from above; next: cazsl-train fit push-indicator")
+    click.echo(f"{folder / VIEWS_FOLDER}: top-down views of the objects; next: cazsl-train fit push-indicator")
 
 
 def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
-    """How long it took, what is there, and its statistics beside the published ones."""
+    """Print the duration, the content of the folder, and its statistics beside the published ones."""
     found = read_folder(folder)
     if simulated:
         click.echo(f"{simulated} pushes took {seconds:.0f} s, {1e3 * seconds / simulated:.1f} ms a push")
@@ -59,32 +60,30 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
 
 @click.command("images")
 @click.argument("folder", type=click.Path(file_okay=False, path_type=Path), required=False)
-@click.option("--camera", is_flag=True, help="As a camera would see them: light, table, blur, noise, JPEG.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of all that --camera adds.")
+@click.option("--camera", is_flag=True, help="Views as a camera would see them: light, table, blur, noise, JPEG.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the effects of --camera.")
 @click.option(
     "--gallery",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Only draw this PNG: some objects as drawn, as a camera sees them, and as a model does.",
+    help="Draw only this PNG: some objects as drawn, as a camera sees them, and as a model's input.",
 )
-@mend
+@one_line_errors
 def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
     """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
 
-    FOLDER is data/simulated/top-down_view, with --camera data/simulated/top-down_view-camera, unless named. Views that
-    are already there stay; the files depend on object and seed alone.
+    The default FOLDER is data/simulated/top-down_view, with --camera data/simulated/top-down_view-camera. Existing
+    views are kept. The files depend on object and seed alone.
     """
     if gallery is not None:
-        from training.inspection.view_gallery import (
-            draw_gallery,  # matplotlib is slow to load, and no other command needs it
-        )
+        from training.inspection.view_gallery import draw_gallery  # slow to import, as matplotlib is
 
         draw_gallery(gallery, seed=seed)
-        click.echo(f"{gallery} shows clean views, camera views, and the 32 x 32 that a model sees")
+        click.echo(f"{gallery} shows clean views, camera views, and the 32 x 32 input of a model")
         return
     folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
     descriptors = omnipush_descriptors()
     write_views(folder, descriptors, camera, seed)
-    seen = read_views(folder, descriptors)
-    digest = hashlib.sha256(seen.tobytes()).hexdigest()
-    click.echo(f"{folder}: {len(seen)} views of 481 x 481; sha256 of the 32 x 32 that models see: {digest}")
+    contexts = read_views(folder, descriptors)
+    digest = hashlib.sha256(contexts.tobytes()).hexdigest()
+    click.echo(f"{folder}: {len(contexts)} views of 481 x 481; sha256 of their 32 x 32 contexts: {digest}")
     click.echo("next: cazsl-train images --gallery views.png, and look at it")

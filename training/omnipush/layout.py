@@ -17,6 +17,8 @@ from typing import Final
 from service.errors import DataError
 from training.omnipush.files import holds_pushes
 
+SIMULATED: Final = Path("data/simulated")
+DEFAULT_DATA: Final = SIMULATED / "abs"
 _DEPTH: Final = 2  # levels below the folder named that are searched: meta-learning_data/plywood
 
 
@@ -51,6 +53,11 @@ def view_places(folder: Path, surfaces: list[Path]) -> set[Path]:
     """Return the folders that may contain the folder of views: those named, those of surfaces, and their parents."""
     inside = {folder.resolve(), *(path.resolve() for path in surfaces)}
     return inside | {path.parent for path in inside} | {path.parent.parent for path in inside - {folder.resolve()}}
+
+
+def data_options(folder: Path, views: Path | None) -> str:
+    """Render the command-line options that name a folder of pushes and its views, without the default ones."""
+    return ("" if folder == DEFAULT_DATA else f" --data {folder}") + ("" if views is None else f" --views {views}")
 
 
 def _folders(folder: Path) -> list[Path]:

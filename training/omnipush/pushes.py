@@ -102,13 +102,13 @@ def read_folder(folder: Path) -> Pushes:
         DataError: A file is missing or broken. The message names it, the expected content and the remedy.
     """
     if not folder.is_dir():
-        raise DataError(f"{folder} is not a folder of pushes; run 'make data' or name another with --data")
+        raise DataError(f"{folder} is not a folder of pushes; run 'make data' or name another folder")
     listing = list_folder(folder)
     if listing.faults:
         raise listing.faults[0]
     if not listing.pairs:
         below = " or ".join(str(path) for path in surface_folders(folder))
-        remedy = f"name {below} with --data" if below else "run 'make data' or name another folder with --data"
+        remedy = f"name {below} instead" if below else "run 'make data' or name another folder"
         raise DataError(f"{folder} holds no *{PUSHER_SUFFIX} file; {remedy}")
     pairs, digest = list(listing.pairs.values()), hashlib.sha256()
     pusher_files = [_read_array(pair.pusher, digest) for pair in pairs]

@@ -1,4 +1,4 @@
-"""``cazsl-train data`` as a person uses it, and every broken input through the command line: one line, no traceback."""
+"""``cazsl-train data``: checks, pages, exports, and broken input: one line, no traceback."""
 
 import json
 import os
@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
+from tests.training.command_line import cazsl_train, sole_line
 from tests.training.copies import SOURCE, write_surface, write_views
-from training.cli.main import main
+from tests.training.pickle_trap import PickleTrap
 from training.omnipush.published import different_surfaces
 from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, read_folder
 
@@ -23,34 +23,26 @@ FIRST_X, FIRST_Y = TEN[0] + PUSHER_SUFFIX, TEN[0] + OUTCOME_SUFFIX
 FIRST_VIEW = f"../top-down_view/shape_{TEN[0]}.npy"
 
 
-def cazsl_train(*arguments: str | Path) -> Result:
-    """Run the command line in this process; what no person should see is raised here."""
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
 @pytest.fixture
 def surface(tmp_path: Path) -> Path:
-    """A whole plywood surface with its views."""
+    """Plywood surface, complete with its views."""
     write_views(tmp_path / "top-down_view", TEN)
     return write_surface(tmp_path / "plywood", TEN)
 
 
-def test_help_says_what_is_wrong_and_what_is_not() -> None:
-    """Each command explains itself, and the group lists them."""
+def test_the_group_lists_its_commands() -> None:
+    """The help of the group lists its commands, and that of check explains the exit status."""
     group, check = cazsl_train("data", "-h"), cazsl_train("data", "check", "-h")
 
     assert (group.exit_code, check.exit_code) == (0, 0)
-    for command in ("check", "export"):
+    for command in ("check", "report", "export"):
         assert f"\n  {command} " in group.output
     assert "Exit status 1 means that training" in " ".join(check.output.split())
     assert "data check" in cazsl_train("-h").output
 
 
-def test_check_of_a_whole_surface_passes(surface: Path) -> None:
-    """The table, the label, and what to do next."""
+def test_check_of_a_complete_surface_passes(surface: Path) -> None:
+    """A complete surface is printed with its source, no finding and the next step."""
     result = cazsl_train("data", "check", surface)
 
     assert result.exit_code == 0
@@ -60,7 +52,7 @@ def test_check_of_a_whole_surface_passes(surface: Path) -> None:
 
 
 def test_check_for_programs_is_one_document(surface: Path) -> None:
-    """The same verdict in JSON and in the exit status."""
+    """The JSON document and the exit status give the same verdict."""
     passed = cazsl_train("data", "check", surface, "--json")
     (surface / FIRST_X).unlink()
     failed = cazsl_train("data", "check", surface, "--json")
@@ -69,8 +61,8 @@ def test_check_for_programs_is_one_document(surface: Path) -> None:
     assert (failed.exit_code, json.loads(failed.stdout)["fit_to_train_on"]) == (1, False)
 
 
-def test_export_writes_what_is_asked_for(surface: Path, tmp_path: Path) -> None:
-    """Both variants unless told otherwise; the next step is to check them."""
+def test_export_writes_the_variants_asked_for(surface: Path, tmp_path: Path) -> None:
+    """Both variants are written by default, and the next step is to check them."""
     result = cazsl_train("data", "export", surface, tmp_path / "both")
     cazsl_train("data", "export", surface, tmp_path / "normalised", "--variant", "normalised")
 
@@ -83,18 +75,41 @@ def test_export_writes_what_is_asked_for(surface: Path, tmp_path: Path) -> None:
     assert len(list((tmp_path / "normalised").glob("*.npy"))) == 20
 
 
-class Trap:
-    """An object whose unpickling writes a file."""
+def test_report_writes_a_page_and_two_images(surface: Path, tmp_path: Path) -> None:
+    """The page and its images are written beside the pushes or to --out, equal files for equal pushes."""
+    default = cazsl_train("data", "report", surface)
+    elsewhere = cazsl_train("data", "report", surface, "--out", tmp_path / "docs" / "plywood")
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    page = surface / "report" / "report.md"
+    assert (default.exit_code, elsewhere.exit_code) == (0, 0)
+    assert default.stdout == (
+        f"{page}: 10 objects, 2500 pushes, with histograms.png and pushes.png; next: read {page}\n"
+    )
+    assert page.read_text(encoding="utf-8").startswith(f"# {SOURCE}\n")
+    written = {path.name: path.read_bytes() for path in (surface / "report").iterdir()}
+    assert sorted(written) == ["histograms.png", "pushes.png", "report.md"]
+    assert {path.name: path.read_bytes() for path in (tmp_path / "docs" / "plywood").iterdir()} == written
 
-    def __reduce__(self) -> tuple[Callable[[str, int], int], tuple[str, int]]:
-        return os.open, (str(self.path), os.O_CREAT | os.O_WRONLY)
+
+def test_report_of_an_empty_folder_is_one_line(tmp_path: Path) -> None:
+    """The error about a folder without pushes names it, and no page is written."""
+    (tmp_path / "empty").mkdir()
+
+    line = sole_line(cazsl_train("data", "report", tmp_path / "empty"))
+    assert line.startswith(f"Error: {tmp_path / 'empty'} holds no *_X_3_not_norm.npy file; run 'make data' or name")
+    assert list((tmp_path / "empty").iterdir()) == []
+
+
+def test_report_into_a_blocked_folder_is_one_line(surface: Path) -> None:
+    """The error about an output folder in the place of a file names it."""
+    (surface / "file").touch()
+
+    line = sole_line(cazsl_train("data", "report", surface, "--out", surface / "file" / "below"))
+    assert line == f"Error: {surface / 'file' / 'below'}: Not a directory; fix that or name another path"
 
 
 def sprung(folder: Path) -> Path:
-    """The file that only a loaded pickle writes."""
+    """Return the folder that a loaded pickle would make."""
     return folder.parent / "sprung"
 
 
@@ -104,13 +119,13 @@ def cut(folder: Path) -> None:
 
 
 def pickled(folder: Path) -> None:
-    """Damage: an .npy file of objects, which numpy would unpickle."""
-    np.save(folder / FIRST_X, np.array([[Trap(sprung(folder))] * 3] * 250, dtype=object), allow_pickle=True)
+    """Damage: an .npy file holds objects, which numpy would unpickle."""
+    np.save(folder / FIRST_X, np.array([[PickleTrap(sprung(folder))] * 3] * 250, dtype=object), allow_pickle=True)
 
 
 def bare_pickle(folder: Path) -> None:
-    """Damage: a pickle under the name of an .npy file."""
-    (folder / FIRST_Y).write_bytes(pickle.dumps(Trap(sprung(folder))))
+    """Damage: a pickle has the name of an .npy file."""
+    (folder / FIRST_Y).write_bytes(pickle.dumps(PickleTrap(sprung(folder))))
 
 
 def nan_row(folder: Path) -> None:
@@ -126,31 +141,31 @@ def shorter(folder: Path) -> None:
 
 
 def unknown_object(folder: Path) -> None:
-    """Damage: a descriptor that no object has."""
+    """Damage: no object has the descriptor."""
     for name in (FIRST_X, FIRST_Y):
         (folder / name).rename(folder / ("1B" + name[2:]))
 
 
 def no_descriptor(folder: Path) -> None:
-    """Damage: a name that begins with none."""
+    """Damage: a name does not begin with a descriptor."""
     for name in (FIRST_X, FIRST_Y):
         (folder / name).rename(folder / ("copy_of_" + name))
 
 
 def twice(folder: Path) -> None:
-    """Damage: the same object under two names."""
+    """Damage: the same object has two names."""
     for name in (FIRST_X, FIRST_Y):
         shutil.copy(folder / name, folder / (TEN[0] + "_again" + name[8:]))
 
 
 def twice_turned(folder: Path) -> None:
-    """Damage: the same kind of object under two turns of its descriptor."""
+    """Damage: the same object has two descriptors, one of them turned."""
     for name in (FIRST_X, FIRST_Y):
         shutil.copy(folder / name, folder / (TEN[0][2:] + TEN[0][:2] + name[8:]))
 
 
 def other_size(folder: Path) -> None:
-    """Damage: a view of another size."""
+    """Damage: a view has another size."""
     (folder / FIRST_VIEW).unlink()
     np.save(folder / FIRST_VIEW, np.zeros((480, 481)))
 
@@ -169,12 +184,12 @@ BROKEN = [
 ]
 
 
-@pytest.mark.parametrize(("damage", "file", "says", "remedy"), BROKEN)
+@pytest.mark.parametrize(("damage", "file", "fault", "remedy"), BROKEN)
 @pytest.mark.parametrize("command", ["check", "export", "fit"])
 def test_a_broken_file_ends_in_one_line_that_names_it(
-    surface: Path, tmp_path: Path, command: str, damage: Callable[[Path], None], file: str, says: str, remedy: str
+    surface: Path, tmp_path: Path, command: str, damage: Callable[[Path], None], file: str, fault: str, remedy: str
 ) -> None:
-    """Exit status 1, the file, what is wrong and what to do; whatever command meets it, and no pickle is loaded."""
+    """Every command ends with exit status 1 and a line with file, fault and remedy, and loads no pickle."""
     damage(surface)
     arguments = {
         "check": ["data", "check", str(surface)],
@@ -185,7 +200,7 @@ def test_a_broken_file_ends_in_one_line_that_names_it(
     result = cazsl_train(*arguments)
 
     assert result.exit_code == 1
-    (line,) = [line for line in result.output.splitlines() if says in line and file in line]
+    (line,) = [line for line in result.output.splitlines() if fault in line and file in line]
     assert remedy in line
     assert "Traceback" not in result.output
     assert not sprung(surface).exists()
@@ -194,8 +209,8 @@ def test_a_broken_file_ends_in_one_line_that_names_it(
         assert result.output == line + "\n"
 
 
-def test_the_trap_is_one(tmp_path: Path) -> None:
-    """Loaded as a pickle it does write its file: not loading it is what kept the file away."""
+def test_the_trap_springs_when_it_is_loaded(tmp_path: Path) -> None:
+    """The trap makes its folder when it is loaded as a pickle, so the test above can fail."""
     folder = tmp_path / "plywood"
     folder.mkdir()
     pickled(folder)
@@ -205,28 +220,28 @@ def test_the_trap_is_one(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "file", "says"),
+    ("damage", "file", "fault"),
     [
         pytest.param(other_size, f"shape_{TEN[0]}.npy", "(480, 481); expected (481, 481); fetch or draw", id="view"),
         pytest.param(twice_turned, TEN[0], "keep the files of one of them", id="turned"),
     ],
 )
-def test_check_tells_what_a_loader_of_pushes_does_not_see(
-    surface: Path, damage: Callable[[Path], None], file: str, says: str
+def test_check_finds_faults_that_the_loader_ignores(
+    surface: Path, damage: Callable[[Path], None], file: str, fault: str
 ) -> None:
-    """A view of another size, and one kind of object under two turned names."""
+    """A view of another size and an object under two turned descriptors are errors of a check."""
     damage(surface)
     result = cazsl_train("data", "check", surface)
 
     assert result.exit_code == 1
-    assert any(file in line and says in line for line in result.stdout.splitlines())
+    assert any(file in line and fault in line for line in result.stdout.splitlines())
     assert result.stdout.splitlines()[-1].endswith(f"next: fix the errors, then cazsl-train data check {surface}")
 
 
 @pytest.mark.parametrize("command", ["check", "fit"])
 @pytest.mark.parametrize("kind", ["empty", "missing", "a file"])
 def test_a_folder_without_pushes_ends_in_one_line(tmp_path: Path, command: str, kind: str) -> None:
-    """The folder is named, and where to get pushes."""
+    """The error about a folder without pushes names it and the way to get pushes."""
     folder = tmp_path / "data"
     if kind == "empty":
         folder.mkdir()
@@ -244,8 +259,8 @@ def test_a_folder_without_pushes_ends_in_one_line(tmp_path: Path, command: str, 
 
 
 @contextmanager
-def nobody() -> Iterator[None]:
-    """Without root's right to write everywhere; the user who runs the tests otherwise."""
+def without_root() -> Iterator[None]:
+    """Run a block without root's right to write everywhere, or as the user who runs the tests."""
     if os.geteuid() != 0:
         yield
         return
@@ -258,12 +273,12 @@ def nobody() -> Iterator[None]:
 
 @pytest.fixture
 def read_only() -> Iterator[Path]:
-    """A folder that nobody but root may write, below folders that everybody may pass: tmp_path is root's alone."""
+    """Folder that only root may write, below folders that every user may pass, unlike tmp_path."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         folder.chmod(0o755)
         (folder / "closed").mkdir(mode=0o555)
-        with nobody():
+        with without_root():
             reachable = os.access(folder / "closed", os.R_OK | os.X_OK, effective_ids=True)
         if not reachable:
             pytest.skip(f"{folder.parent} is closed to other users: the refusal would not be this folder's")
@@ -272,11 +287,11 @@ def read_only() -> Iterator[Path]:
 
 
 def test_a_folder_without_write_permission_ends_in_one_line(read_only: Path) -> None:
-    """Exporting into it, or below it: the folder, the system's reason, what to do; nothing is left behind."""
+    """Exporting into a read-only folder, or below it, prints folder, reason and remedy, and leaves no file."""
     source = write_surface(read_only.parent / "plywood", TEN[:1], rows=2)
     for path in (source, *source.iterdir()):
         path.chmod(0o755)
-    with nobody():
+    with without_root():
         with pytest.raises(PermissionError):
             (read_only / "probe").touch()
         results = [cazsl_train("data", "export", source, target) for target in (read_only / "below", read_only)]
@@ -290,8 +305,8 @@ def test_a_folder_without_write_permission_ends_in_one_line(read_only: Path) -> 
 
 
 def test_simulating_into_a_folder_without_write_permission_ends_in_one_line(read_only: Path) -> None:
-    """Before anything is simulated."""
-    with nobody():
+    """The error about a read-only folder is printed before any simulation."""
+    with without_root():
         result = cazsl_train("simulate", read_only, "--pushes", "1", "--threads", "1")
 
     assert result.exit_code == 1
@@ -301,7 +316,7 @@ def test_simulating_into_a_folder_without_write_permission_ends_in_one_line(read
 
 
 def test_a_run_folder_without_write_permission_ends_in_one_line(data_folder: Path, tmp_path: Path) -> None:
-    """A file stands where the run's parent should be, which stops root as well."""
+    """The error about a run folder below a file, which stops root as well, names it."""
     (tmp_path / "runs").touch()
     result = cazsl_train("fit", "push-indicator", "--data", data_folder, "--run", tmp_path / "runs" / "mine")
 
@@ -310,7 +325,7 @@ def test_a_run_folder_without_write_permission_ends_in_one_line(data_folder: Pat
 
 
 def test_a_copy_under_turned_names_trains_like_the_published_one(data_folder: Path, tmp_path: Path) -> None:
-    """Objects are found by kind; each keeps the descriptor of its file, whose frame its pushes are in."""
+    """A copy under turned descriptors is found and trained on, each object in the frame of its file."""
     turned = tmp_path / "turned"
     shutil.copytree(data_folder, turned)
     for path in turned.glob("*.npy"):

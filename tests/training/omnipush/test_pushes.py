@@ -158,7 +158,7 @@ def test_raw_files_are_read_if_both_variants_exist(folder: Path) -> None:
 
 def test_a_folder_above_the_pushes_names_those_below(folder: Path) -> None:
     """The error about a folder above those of pushes lists the folders to name instead."""
-    with pytest.raises(DataError, match=f"name {re.escape(str(folder))} with --data"):
+    with pytest.raises(DataError, match=f"name {re.escape(str(folder))} instead"):
         read_folder(folder.parent)
 
 
@@ -178,7 +178,7 @@ def test_selecting_missing_objects_names_them(folder: Path) -> None:
 
 def test_a_missing_folder_is_named(tmp_path: Path) -> None:
     """The error about a missing folder names it and the ways to get pushes."""
-    with pytest.raises(DataError, match=r"is not a folder of pushes.*make data.*--data") as caught:
+    with pytest.raises(DataError, match=r"is not a folder of pushes.*make data.*another folder") as caught:
         read_folder(tmp_path / "nowhere")
 
     assert str(tmp_path / "nowhere") in str(caught.value)

@@ -1,0 +1,98 @@
+"""``cazsl-train simulate`` and ``images``: files, figures and the next step, or one line and status 1."""
+
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.training.command_line import cazsl_train, sole_line
+from tests.training.copies import write_linked_views
+from training.omnipush.declaration import declare_dataset
+from training.omnipush.published import different_surfaces, omnipush_descriptors
+from training.omnipush.pushes import read_folder
+from training.omnipush.views import VIEWS_FOLDER, view_file_name
+from training.simulation.dataset import SimulationPlan
+from training.simulation.drawing import write_views
+
+
+def test_simulate_continues_and_describes_the_dataset(data_folder: Path, tmp_path: Path) -> None:
+    """Two missing objects of 250 are simulated, and the whole folder is described beside the published statistics."""
+    folder, left = tmp_path / "abs", omnipush_descriptors()[3:5]
+    declare_dataset(folder, SimulationPlan(omnipush_descriptors(), pushes_per_object=2, seed=4).declaration())
+    for path in data_folder.glob("*.npy"):
+        if not path.name.startswith(left):
+            shutil.copy(path, folder / path.name)
+    missing_view = tmp_path / VIEWS_FOLDER / view_file_name(omnipush_descriptors()[1])
+    write_linked_views(missing_view.parent, without=missing_view.name)
+
+    result = cazsl_train("simulate", tmp_path, *["--surface", "abs", "--pushes", "2", "--seed", "4", "--threads", "1"])
+
+    found = read_folder(folder)
+    assert result.exit_code == 0
+    assert f"{found.source}: 250 objects, {found.count} pushes" in result.stdout
+    assert found.digest in result.stdout
+    assert "object yaw_rad" in result.stdout
+    assert re.search(r"^4 pushes took \d+ s, [\d.]+ ms a push$", result.stdout, re.MULTILINE)
+    assert result.stdout.endswith("next: cazsl-train fit push-indicator\n")
+    assert found.valid[[found.descriptors.index(descriptor) for descriptor in left]].sum(axis=1).tolist() == [2, 2]
+    assert missing_view.is_file()
+
+
+def test_simulate_pushes_the_published_ten_on_plywood(tmp_path: Path) -> None:
+    """A surface has a folder of its own, and its source names the surface."""
+    result = cazsl_train("simulate", tmp_path, *["--surface", "plywood", "--pushes", "1", "--threads", "1"])
+
+    found = read_folder(tmp_path / "plywood")
+    assert result.exit_code == 0
+    assert found.descriptors == different_surfaces().test
+    assert "PLYWOOD" in found.source
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plywood", "top-down_view"]
+    assert len(list((tmp_path / "top-down_view").glob("shape_*.npy"))) == 10
+
+
+def test_simulate_refuses_a_folder_of_other_pushes(data_folder: Path, tmp_path: Path) -> None:
+    """The error about a folder with other pushes names it, and the folder is not changed."""
+    folder = shutil.copytree(data_folder, tmp_path / "abs")
+
+    assert str(folder) in sole_line(cazsl_train("simulate", tmp_path, "--pushes", "1"))
+    assert read_folder(folder).digest == read_folder(data_folder).digest
+
+
+@pytest.mark.parametrize("count", ["0", "-1", "many"])
+def test_simulate_refuses_an_impossible_number_of_pushes(tmp_path: Path, count: str) -> None:
+    """An impossible number of pushes is a usage error, and no folder is made."""
+    result = cazsl_train("simulate", tmp_path, "--pushes", count)
+
+    assert result.exit_code == 2
+    assert "--pushes" in result.stderr
+    assert not (tmp_path / "abs").exists()
+
+
+def test_images_draws_missing_views(tmp_path: Path) -> None:
+    """A missing view is drawn, and folder, number of views and digest of the contexts are printed."""
+    missing = tmp_path / view_file_name(omnipush_descriptors()[1])
+    write_linked_views(tmp_path, without=missing.name)
+
+    result = cazsl_train("images", tmp_path)
+
+    assert result.exit_code == 0
+    assert missing.is_file()
+    assert "250 views of 481 x 481" in result.output
+    assert "next: cazsl-train images --gallery" in result.output
+
+
+def test_images_of_another_kind_are_not_mixed_into_a_folder(tmp_path: Path) -> None:
+    """The error about camera views for a folder of clean ones names the declaration."""
+    write_views(tmp_path, (), quiet=True)
+
+    assert "dataset.json declares another dataset" in sole_line(cazsl_train("images", tmp_path, "--camera"))
+
+
+def test_images_can_draw_a_gallery_alone(tmp_path: Path) -> None:
+    """With --gallery a PNG is written, and no folder of views."""
+    result = cazsl_train("images", tmp_path / "views", "--gallery", tmp_path / "views.png")
+
+    assert result.exit_code == 0
+    assert (tmp_path / "views.png").read_bytes().startswith(b"\x89PNG")
+    assert not (tmp_path / "views").exists()
