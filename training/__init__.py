@@ -1,1 +1,7 @@
-"""CAZSL training: pushes in, fitted networks and published ONNX models out."""
+"""CAZSL training: from folders of pushes to published ONNX models.
+
+Packages, each of which imports only packages before it: ``omnipush`` reads and writes the data, ``simulation`` makes
+stand-ins for it, and ``inspection`` checks it. ``networks`` holds the models, ``fitting`` trains and evaluates them by
+the ``recipes``, ``publishing`` exports them, ``paper`` reproduces the paper, and ``cli`` is the command line. Of the
+service, the trainer imports the packages that need neither a server nor a client.
+"""
