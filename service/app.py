@@ -1,4 +1,4 @@
-"""``create_app(settings, models)``: composition only."""
+"""``create_app(settings, models)``: the composition of all parts, and nothing else."""
 
 import asyncio
 import contextlib
@@ -12,16 +12,18 @@ from fastapi import Depends, FastAPI
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
-from service.api import health, monitoring
-from service.api.dependencies import may_predict
-from service.api.docs_page import documentation
-from service.api.error_handlers import install_problem_handlers
-from service.api.gauges import vitals
+from service.api import health
+from service.api.dependencies import Parts, may_predict
+from service.api.docs_page import docs_router
+from service.api.error_handlers import install_error_handlers
+from service.api.gauges import gauges
 from service.api.open_inference import routes as open_inference
 from service.api.open_inference.bodies import ErrorBody
+from service.api.open_inference.endpoints import inference_endpoints
 from service.api.openapi import give_examples, problems, protocol_errors, state_media_type
-from service.api.v1 import routes
-from service.errors import CazslError, ForbiddenError, MissingKeyError
+from service.api.v1 import routes as v1
+from service.api.v1.endpoints import ENDPOINTS, SINGLE
+from service.errors import ForbiddenError, MissingKeyError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
 from service.observability.logs import RequestLog
@@ -30,14 +32,14 @@ from service.observability.prometheus import exposition
 from service.observability.telemetry import RequestTelemetry
 from service.schemas.problems import ProblemBody
 from service.settings import Settings
-from service.transport.admission import Intake, IntakeLimits
-from service.transport.fast_path import FastPath
+from service.transport.admission import Admission, AdmissionLimits
+from service.transport.endpoints import Endpoints
+from service.transport.fast_path import FastPath, Shortcut
 from service.transport.keys import Keys
-from service.transport.problems import problem_response
-from service.transport.short_way import ShortWay
-from service.transport.threads import Workers, threads_beside_the_loop
+from service.transport.problems import internal_error, problem_response
+from service.transport.threads import ThreadPool, threads_beside_the_loop
 
-_FIRST_LOOK_S: Final = 2.0
+_FIRST_POLL_S: Final = 2.0
 
 logger = logging.getLogger(__name__)
 
@@ -51,23 +53,33 @@ through the middle of side 1, y axis through the middle of side 2, counter-clock
 
 
 class Service(FastAPI):
-    """The application: FastAPI inside, our rings around it; its OpenAPI document tells the truth about failures.
+    """The application: FastAPI inside, and our rings around it.
 
-    The rings stand outside of FastAPI, not among its middleware: what they answer costs none of its machinery.
+    The rings stand outside of FastAPI rather than among its middleware, so that a request that they answer does not pay
+    for its machinery.
+
+    Attributes:
+        parts: the parts that routes use.
+        rings: the outermost ring.
+        requests: counts of requests, and of refusals before there is a request.
+        shortcut: answers single pushes for connections; None where every request must pass all rings.
     """
 
+    parts: Parts
     rings: ASGIApp
+    requests: RequestMetrics
+    shortcut: Shortcut | None = None
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, from the outermost ring inwards."""
         await self.rings(scope, receive, send)
 
     async def framework(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """What is inside of the rings."""
+        """Serve one request inside of the rings."""
         await super().__call__(scope, receive, send)
 
     def openapi(self) -> dict[str, Any]:
-        """The document, made once."""
+        """Return the OpenAPI document, made once."""
         return give_examples(open_inference.describe_infer(state_media_type(super().openapi())))
 
 
@@ -76,86 +88,84 @@ def create_app(
     models: LoadedModels,
     log: RequestLog | None = None,
     trace: Callable[[ASGIApp], ASGIApp] = lambda app: app,
-) -> FastAPI:
-    """The service over these models; the lines of requests go to standard error unless told otherwise.
+) -> Service:
+    """Compose the service over these models.
 
-    ``trace`` puts a ring around all others, as ``tracing.Tracing`` is one.
+    Args:
+        settings: of the operator.
+        models: served by the app, which polls their registry.
+        log: of requests; standard error unless given.
+        trace: puts a ring around all others, such as ``tracing.Tracing``.
     """
     log = log or RequestLog()
-    workers = Workers(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
+    threads = ThreadPool(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
-
+    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads, keys)
     app = Service(
         title="CAZSL",
         version=service.__version__,
         description=DESCRIPTION,
-        lifespan=_lifespan(settings, models, readiness, workers, log),
-        docs_url=None,  # ours asks no other host
+        lifespan=_lifespan(settings, models, readiness, threads, log),
+        docs_url=None,  # ours loads no file from another host
         redoc_url=None,
-        redirect_slashes=False,  # a redirect would name the host that the request claimed
+        redirect_slashes=False,  # a redirect would repeat the host that the request claimed
     )
-    app.state.models = models
-    app.state.max_body_bytes = settings.max_body_bytes
-    app.state.workers = workers
-    app.state.keys = keys
-    app.state.readiness = readiness
-    app.state.short_way = None
+    admission = Admission(FastPath(app.framework, endpoints), _limits(settings))
+    app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
+    metrics = exposition(app.requests, gauges(models, readiness, threads, admission))
+    app.parts = Parts(models, readiness, keys, endpoints, metrics)
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
-    install_problem_handlers(app)
-    fast_path = FastPath(app.framework, models, workers, keys)
-    intake = Intake(fast_path, _limits(settings))
-    requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
-    app.state.requests = requests
-    app.state.metrics = exposition(requests, vitals(models, readiness, workers, intake))
-    telemetry = RequestTelemetry(intake, _internal_error, log, requests)
+    install_error_handlers(app)
+    telemetry = RequestTelemetry(admission, _internal_error, log, app.requests)
     app.rings = trace(telemetry)
-    if app.rings is telemetry:  # whoever puts a ring around all requests has them all pass it
-        app.state.short_way = ShortWay(fast_path, intake, telemetry)
+    if app.rings is telemetry:  # a ring around all requests must see all of them
+        app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
     return app
 
 
 def _lifespan(
-    settings: Settings, models: LoadedModels, readiness: Readiness, workers: Workers, log: RequestLog
+    settings: Settings, models: LoadedModels, readiness: Readiness, threads: ThreadPool, log: RequestLog
 ) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        """Look at the registry before the first request, unless that takes long, and from then on."""
-        looked = asyncio.Event()
+        """Poll the registry before the first request, unless that takes long, and from then on."""
+        polled = asyncio.Event()
         timers = [
-            asyncio.create_task(_poll(models, settings.poll_interval_s, looked)),
+            asyncio.create_task(_poll(models, settings.poll_interval_s, polled)),
             asyncio.create_task(_probe(readiness, settings.probe_interval_s)),
         ]
-        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers meanwhile, /readyz says so
-            await asyncio.wait_for(looked.wait(), _FIRST_LOOK_S)
+        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers meanwhile, /readyz names it
+            await asyncio.wait_for(polled.wait(), _FIRST_POLL_S)
         yield
         for timer in timers:
             timer.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await timer
         gc.unfreeze()
-        workers.close()
+        threads.close()
         log.flush()
 
     return lifespan
 
 
 def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:
-    """Every route, those that predict or tell of models behind a key where keys are wanted."""
+    """Include every route. Those that predict or describe models require a key where the operator wants keys."""
     guard = [Depends(may_predict)] if guarded else []
     refusals = (MissingKeyError, ForbiddenError) if guarded else ()
-    app.include_router(documentation(app.title))
+    app.include_router(docs_router(app.title))
     app.include_router(health.router)
-    app.include_router(routes.router, dependencies=guard, responses=problems(ProblemBody, *refusals))
-    app.include_router(routes.uploads, dependencies=guard, responses=problems(ProblemBody, *refusals))
+    for router in (v1.predictions, v1.models):
+        app.include_router(router, dependencies=guard, responses=problems(ProblemBody, *refusals))
     app.include_router(open_inference.health)
     if metrics:
-        app.include_router(monitoring.router)
-    app.include_router(open_inference.router, dependencies=guard, responses=protocol_errors(ErrorBody, *refusals))
+        app.include_router(health.metrics_router)
+    for router in (open_inference.router, open_inference.inference):
+        app.include_router(router, dependencies=guard, responses=protocol_errors(ErrorBody, *refusals))
 
 
-def _limits(settings: Settings) -> IntakeLimits:
-    return IntakeLimits(
+def _limits(settings: Settings) -> AdmissionLimits:
+    return AdmissionLimits(
         body_bytes=settings.max_body_bytes,
         body_s=settings.body_timeout_s,
         in_flight=settings.max_in_flight,
@@ -164,24 +174,24 @@ def _limits(settings: Settings) -> IntakeLimits:
     )
 
 
-async def _poll(models: LoadedModels, interval_s: float, looked: asyncio.Event) -> None:
-    """Look for new versions and moved aliases, now and for as long as the app lives: from look to look so many s."""
+async def _poll(models: LoadedModels, interval_s: float, polled: asyncio.Event) -> None:
+    """Poll the registry for new versions and moved aliases at this interval, for as long as the app lives."""
     loop = asyncio.get_running_loop()
     while True:
         began = loop.time()
         try:
             await asyncio.to_thread(models.refresh)
-        except Exception:  # the outermost ring of this task: a bug here must not end the looking, unseen
+        except Exception:  # the outermost ring of this task: a bug must not end the polling unseen
             logger.exception("refresh failed")
-        if not looked.is_set():
+        if not polled.is_set():
             gc.collect()
-            gc.freeze()  # what is here now stays: walking it again and again cost 5 us a push, and a pause now and then
-            looked.set()
+            gc.freeze()  # the objects of now stay: walking them again and again cost 5 us a push, and some pauses
+            polled.set()
         await asyncio.sleep(max(0.0, began + interval_s - loop.time()))
 
 
 async def _probe(readiness: Readiness, interval_s: float) -> None:
-    """Ask every model for its self-check, for as long as the app lives."""
+    """Run the self-check of every model at this interval, for as long as the app lives."""
     while True:
         await asyncio.sleep(interval_s)
         try:
@@ -191,5 +201,4 @@ async def _probe(readiness: Readiness, interval_s: float) -> None:
 
 
 async def _internal_error(scope: Scope, receive: Receive, send: Send) -> None:
-    error = CazslError("the request could not be answered; the log has the cause under this request_id")
-    await problem_response(scope, error)(scope, receive, send)
+    await problem_response(scope, internal_error())(scope, receive, send)

@@ -1,37 +1,37 @@
-"""Everything that can go wrong, as one tree.
+"""The error tree: every error that this project raises on purpose.
 
     CazslError
-    ├── RequestError                   400  the caller sent something that cannot be answered
-    │   ├── InvalidRequestError        422  a field is missing, mis-shaped, not finite or not allowed
-    │   │   ├── ContextKindError       422  the model wants another kind of object context
-    │   │   └── InvalidImageError      422  a picture is broken, cut off, animated, or more than a picture
-    │   ├── MalformedBodyError         400  the body is not what it is declared to be: JSON, a form, tensors
-    │   ├── MissingKeyError            401  an API key is needed and none, or an unknown one, came
-    │   ├── ForbiddenError             403  the key does not cover this
+    ├── RequestError                   400  the request cannot be answered as it was sent
+    │   ├── InvalidRequestError        422  a field is missing, of the wrong shape, not finite or not allowed
+    │   │   ├── ContextKindError       422  the model takes another kind of object context
+    │   │   └── InvalidImageError      422  an image is broken, truncated, animated, or has trailing data
+    │   ├── MalformedBodyError         400  the body is not the JSON, form or tensors that it is declared to be
+    │   ├── MissingKeyError            401  an API key is required, and none or an unknown one was sent
+    │   ├── ForbiddenError             403  the API key lacks the scope
     │   ├── UnknownModelError          404  no such model, version or alias
-    │   ├── NotAcceptableError         406  the caller wants an answer in a form that we do not speak
+    │   ├── NotAcceptableError         406  the Accept header excludes the content type of the answer
     │   ├── SlowBodyError              408  the body did not arrive in time
     │   ├── BodyTooLargeError          413  the body is over the limit
-    │   ├── ImageTooLargeError         413  a picture has too many bytes or pixels
-    │   ├── UnsupportedMediaTypeError  415  the body is sent as something that we do not read
-    │   ├── UnsupportedImageError      415  a picture is none of PNG, JPEG and WebP
+    │   ├── ImageTooLargeError         413  an image has too many bytes or pixels
+    │   ├── UnsupportedMediaTypeError  415  the content type or encoding of the body is not supported
+    │   ├── UnsupportedImageError      415  an image is not PNG, JPEG or WebP
     │   └── TooManyRequestsError       429  one caller has too many requests in flight
-    ├── UnavailableError               503  come again later
+    ├── UnavailableError               503  retry later
     │   ├── ModelNotReadyError         503  the model exists but cannot serve now
-    │   ├── OverloadedError            503  too much is being answered already
+    │   ├── OverloadedError            503  too many requests or bytes are being handled
     │   └── DeadlineError              503  the answer was not ready in time
-    ├── RegistryError                  500  the folder of models is not what it should be
-    │   ├── BrokenModelError           500  a version fails verification: never served
-    │   ├── PublishError               500  a version cannot be published; nothing became visible
-    │   ├── ConflictError              500  somebody else changed it first; nothing was changed
-    │   └── InUseError                 500  an alias names it; nothing was removed
-    ├── PredictionError                500  the runtime failed, or gave what no model may give
-    ├── SettingsError                       the operator set what is no setting, or cannot be (command line only)
-    ├── DataError                           pushes on disk cannot be used, or results not be written (command line only)
-    └── WorkforceError                      bulk work has nobody to do it: no Ray, or workers lost (command line only)
+    ├── RegistryError                  500  the registry is missing, unreadable, or refuses an operation
+    │   ├── BrokenModelError           500  a version fails verification and is never served
+    │   ├── PublishError               500  a version cannot be published. It did not become visible
+    │   ├── ConflictError              500  another writer changed it first. It stays as it is
+    │   └── InUseError                 500  an alias names the version. It was not removed
+    ├── PredictionError                500  the runtime failed, or its answer is not a Gaussian
+    ├── SettingsError                       a setting is unknown or impossible (command line only)
+    ├── DataError                           files of pushes or results cannot be read or written (command line only)
+    └── WorkforceError                      bulk work has no executor: no Ray, or workers were lost (command line only)
 
-Each class carries a stable ``code``, an HTTP ``status`` and the words a client needs: what was received, what is
-accepted, and where. Messages never hold a path of the server, a traceback, or the body that was sent.
+Each class has a stable ``code``, an HTTP ``status`` and a ``title``. Messages name the field, the value that was
+received and the values that are accepted. They never hold a path of the server, a traceback, or the body that was sent.
 Standard library only.
 """
 
@@ -43,7 +43,7 @@ from typing import Self
 
 @dataclass(frozen=True)
 class FieldFault:
-    """One fault in a request: where it is, what came, what would be taken."""
+    """One fault in a request: the field, a description of the received value, and the values that are accepted."""
 
     where: str
     received: str
@@ -54,19 +54,19 @@ class FieldFault:
 
 
 class CazslError(Exception):
-    """Root of every error that this project raises on purpose."""
+    """The root of the tree."""
 
     code = "internal"
     status = HTTPStatus.INTERNAL_SERVER_ERROR
-    title = "Something failed on our side"
+    title = "Internal error"
 
 
 class RequestError(CazslError):
-    """The caller can mend it."""
+    """The request cannot be answered as it was sent."""
 
     code = "bad_request"
     status = HTTPStatus.BAD_REQUEST
-    title = "The request cannot be answered"
+    title = "Bad request"
 
 
 class InvalidRequestError(RequestError):
@@ -86,68 +86,72 @@ class InvalidRequestError(RequestError):
         return cls([FieldFault(where, received, accepted)])
 
     def __reduce__(self) -> tuple[type["InvalidRequestError"], tuple[tuple[FieldFault, ...]]]:
-        """Travel between processes with the faults: an exception would by itself travel with its text."""
+        """Pickle with the faults. By default an exception pickles with its text alone."""
         return type(self), (self.faults,)
 
 
 class InvalidImageError(InvalidRequestError):
-    """A picture is broken, cut off, animated, or has something behind its end."""
+    """An image is broken, truncated, animated, or has trailing data."""
 
     code = "invalid_image"
-    title = "The picture cannot be used"
+    title = "The image is not valid"
 
 
 class MalformedBodyError(RequestError):
-    """The body is not what it is declared to be: one JSON document in UTF-8, a form, or JSON and tensors."""
+    """The body is not the JSON document in UTF-8, form, or JSON with tensors that it is declared to be."""
 
     code = "malformed_body"
-    title = "The body cannot be read"
+    title = "The body is malformed"
 
 
 class MissingKeyError(RequestError):
-    """The service wants an API key; what came is none, or none that it knows."""
+    """An API key is required, and none or an unknown one was sent."""
 
     code = "missing_key"
     status = HTTPStatus.UNAUTHORIZED
-    title = "An API key is needed"
+    title = "An API key is required"
 
     def __init__(self) -> None:
         super().__init__(
-            "header Authorization: received no key that is known; accepted is 'Bearer ' and a key of this service"
+            "header Authorization: received no known key; accepted is 'Bearer ' followed by a key of this service"
         )
 
 
 class ForbiddenError(RequestError):
-    """The key is known and does not cover what was asked for."""
+    """The API key is known and lacks the scope of the route."""
 
     code = "forbidden"
     status = HTTPStatus.FORBIDDEN
-    title = "The key does not cover this"
+    title = "The API key lacks the scope"
 
     def __init__(self, scope: str) -> None:
-        super().__init__(f"header Authorization: received a key without scope {scope}; accepted is one with it")
+        super().__init__(
+            f"header Authorization: received a key without scope {scope}; accepted is a key with scope {scope}"
+        )
 
 
 class NotAcceptableError(RequestError):
-    """The answer would be in a form that the caller said it cannot take."""
+    """The Accept header excludes the content type of the answer."""
 
     code = "not_acceptable"
     status = HTTPStatus.NOT_ACCEPTABLE
-    title = "The answer has another form"
+    title = "The content type is not acceptable"
 
     def __init__(self, form: str = "application/json") -> None:
         super().__init__(f"header Accept: received one without {form}; accepted is {form}, */* or no such header")
 
 
 class SlowBodyError(RequestError):
-    """The body did not arrive in the time that it is given."""
+    """The body did not arrive in time."""
 
     code = "slow_body"
     status = HTTPStatus.REQUEST_TIMEOUT
     title = "The body did not arrive in time"
 
     def __init__(self, limit_s: float) -> None:
-        super().__init__(f"body: received a part of it in {limit_s:g} s; accepted is all of it in {limit_s:g} s")
+        super().__init__(
+            f"body: received only a part within {limit_s:g} s; accepted is a body that arrives within {limit_s:g} s"
+        )
 
 
 class TooManyRequestsError(RequestError):
@@ -155,14 +159,14 @@ class TooManyRequestsError(RequestError):
 
     code = "too_many_requests"
     status = HTTPStatus.TOO_MANY_REQUESTS
-    title = "Too many requests at once"
+    title = "Too many requests"
 
     def __init__(self, limit: int) -> None:
-        super().__init__(f"received more than {limit} requests at once; accepted is {limit} per caller, then wait")
+        super().__init__(f"received more than {limit} concurrent requests; accepted is up to {limit} per caller")
 
 
 class BodyTooLargeError(RequestError):
-    """The body is over the limit, whatever its declared length said."""
+    """The body is over the limit, declared or counted."""
 
     code = "body_too_large"
     status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
@@ -174,30 +178,30 @@ class BodyTooLargeError(RequestError):
 
 
 class ImageTooLargeError(RequestError):
-    """A picture has more bytes, pixels or pixels on a side than is taken; told before anything is decoded."""
+    """An image has more bytes, pixels or pixels per side than the limit. Raised before pixels are decoded."""
 
     code = "image_too_large"
     status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
-    title = "The picture is too large"
+    title = "The image is too large"
 
     def __init__(self, where: str, received: str, accepted: str) -> None:
         super().__init__(str(FieldFault(where, received, accepted)))
 
 
 class UnsupportedMediaTypeError(RequestError):
-    """The body is declared as something that this route does not read, or is compressed."""
+    """The content type or encoding of the body is not one that the route reads."""
 
     code = "unsupported_media_type"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
-    title = "The body is sent as something else"
+    title = "The content type is not supported"
 
 
 class UnsupportedImageError(RequestError):
-    """A picture is of another format than PNG, JPEG and WebP, or of a variety of these that nobody sends."""
+    """An image is not PNG, JPEG or WebP, or is a rare variety of these."""
 
     code = "unsupported_image"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
-    title = "The picture is of another format"
+    title = "The image format is not supported"
 
 
 class UnknownModelError(RequestError):
@@ -205,22 +209,22 @@ class UnknownModelError(RequestError):
 
     code = "unknown_model"
     status = HTTPStatus.NOT_FOUND
-    title = "There is no such model"
+    title = "Unknown model"
 
 
 class ContextKindError(InvalidRequestError):
-    """The model that was asked for wants another kind of object context."""
+    """The model takes another kind of object context."""
 
     code = "wrong_context_kind"
-    title = "The model wants another kind of context"
+    title = "The model takes another kind of context"
 
 
 class UnavailableError(CazslError):
-    """Not now; trying again after a moment is right."""
+    """The request can be sent again after a moment."""
 
     code = "unavailable"
     status = HTTPStatus.SERVICE_UNAVAILABLE
-    title = "Not now"
+    title = "Temporarily unavailable"
 
 
 class ModelNotReadyError(UnavailableError):
@@ -231,30 +235,30 @@ class ModelNotReadyError(UnavailableError):
 
 
 class OverloadedError(UnavailableError):
-    """More is being answered, or waits for it, than this process takes on."""
+    """The requests or bytes in this process are over a limit."""
 
     code = "overloaded"
-    title = "Too much to do"
+    title = "The service is overloaded"
 
-    def __init__(self, what: str) -> None:
-        super().__init__(f"the service has {what}; try again after Retry-After seconds")
+    def __init__(self, limit: str) -> None:
+        super().__init__(f"the service is at its limit of {limit}; retry after the Retry-After delay")
 
 
 class DeadlineError(UnavailableError):
-    """The answer was not ready in the time that a request is given."""
+    """The answer was not ready in time."""
 
     code = "deadline_exceeded"
-    title = "The answer was not ready in time"
+    title = "Deadline exceeded"
 
     def __init__(self, limit_s: float) -> None:
         super().__init__(f"the answer was not ready within {limit_s:g} s; send fewer pushes, or try again")
 
 
 class RegistryError(CazslError):
-    """The folder of models is missing, unreadable, or asked for something it must not do."""
+    """The registry is missing, unreadable, or refuses an operation."""
 
     code = "registry"
-    title = "The registry refused"
+    title = "Registry error"
 
 
 class BrokenModelError(RegistryError):
@@ -265,17 +269,17 @@ class BrokenModelError(RegistryError):
 
 
 class PublishError(RegistryError):
-    """A version could not be published; nothing became visible."""
+    """A version could not be published. It did not become visible."""
 
     code = "publish"
     title = "The version was not published"
 
 
 class ConflictError(RegistryError):
-    """What was to be changed is not what the caller saw; nothing was changed."""
+    """Another writer changed it first. It stays as it is."""
 
     code = "conflict"
-    title = "Somebody else changed it first"
+    title = "Another writer changed it first"
 
 
 class InUseError(RegistryError):
@@ -286,28 +290,28 @@ class InUseError(RegistryError):
 
 
 class PredictionError(CazslError):
-    """The runtime failed, or its answer breaks the contract (not finite, std not positive)."""
+    """The runtime failed, or its answer is not a Gaussian: not finite, or a std that is not positive."""
 
     code = "prediction"
     title = "The prediction failed"
 
 
 class SettingsError(CazslError):
-    """A setting is unknown or impossible; the message names it and where it was set."""
+    """A setting is unknown or impossible. The message names it and its source."""
 
     code = "settings"
-    title = "The service cannot be started like this"
+    title = "The settings are not valid"
 
 
 class DataError(CazslError):
-    """Pushes on disk cannot be read or used; the message names the file and what was expected."""
+    """Files of pushes or results cannot be read or written. The message names the file and the expectation."""
 
     code = "data"
     title = "The data cannot be used"
 
 
 class WorkforceError(CazslError):
-    """Bulk work has nobody to do it: what it needs is not installed, no cluster answers, or its workers were lost."""
+    """Bulk work has no executor: an extra is not installed, no cluster answers, or workers were lost."""
 
     code = "workforce"
-    title = "Nobody can do the work"
+    title = "No executor for bulk work"

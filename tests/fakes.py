@@ -1,5 +1,6 @@
 """Stand-ins for what is slow or outside: a predictor without onnxruntime, and folders of small whole models."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event, Semaphore
@@ -8,9 +9,11 @@ import numpy as np
 
 from service.errors import BrokenModelError, PredictionError
 from service.inference.loaded_models import LoadedModels
+from service.inference.query import FIRST_CONTEXT, ContextBatch, predict
+from service.model.loaded_model import LoadedModel
 from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
-from service.model.tensors import ContextKind, FloatArray, IndexArray
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
+from service.model.tensors import ContextKind, FloatArray, IndexArray, Tensor
+from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 
@@ -20,6 +23,7 @@ LYING = b"lying"  # a model that loads and fails its self-check
 FAILING = b"failing"  # a model that passes its self-check and fails on every other push
 BUGGY = b"buggy"  # likewise, with an error that nobody expects
 CHECKED_PUSH = [-0.08, 0.0, 0.0]
+Gaussian = tuple[list[float], list[float]]
 
 
 @dataclass
@@ -27,7 +31,7 @@ class FakePredictor:
     """The object moves a tenth of the pusher's way to it, and turns by the number of ones in its context."""
 
     model: bytes
-    kind: ContextKind
+    takes_context: bool
     calls: list[FloatArray] = field(default_factory=list)
 
     def predict(
@@ -40,7 +44,7 @@ class FakePredictor:
         if self.model == BUGGY and not is_checked(pusher):
             raise ZeroDivisionError("the fake has a bug")
         mean = np.asarray(-pusher / 10.0, dtype=np.float32)
-        if self.kind is not ContextKind.NONE and context is not None and context_index is not None:
+        if self.takes_context and context is not None and context_index is not None:
             mean[:, 2] = context.reshape(len(context), -1).sum(axis=1)[context_index]
         if self.model == LYING:
             mean = mean + np.float32(1.0)
@@ -59,9 +63,9 @@ class Gate:
     reached: Semaphore = field(default_factory=lambda: Semaphore(0))
     opened: Event = field(default_factory=Event)
 
-    def load(self, model: bytes, kind: ContextKind) -> "HeldPredictor":
-        """A predictor factory."""
-        return HeldPredictor(model, kind, gate=self)
+    def load(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> "HeldPredictor":
+        """Create a predictor, as a factory does."""
+        return HeldPredictor(model, len(inputs) > 1, gate=self)
 
 
 @dataclass
@@ -80,11 +84,11 @@ class HeldPredictor(FakePredictor):
         return super().predict(pusher, context, context_index)
 
 
-def load_fake(model: bytes, kind: ContextKind) -> FakePredictor:
-    """A predictor factory."""
+def load_fake(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> FakePredictor:
+    """Create a predictor, as a factory does."""
     if model == BROKEN:
         raise BrokenModelError("model.onnx: the fake refuses it")
-    return FakePredictor(model, kind)
+    return FakePredictor(model, len(inputs) > 1)
 
 
 def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
@@ -92,7 +96,7 @@ def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind
     pusher = [CHECKED_PUSH]
     context = np.zeros((1, VISUAL_SIZE**2 if kind is ContextKind.VISUAL else INDICATOR_LENGTH), dtype=np.float32)
     context[0, :3] = 1.0
-    mean, std = FakePredictor(b"", kind).predict(
+    mean, std = FakePredictor(b"", kind is not ContextKind.NONE).predict(
         np.array(pusher, dtype=np.float32), context, np.zeros(1, dtype=np.int64)
     )
     return Manifest(
@@ -146,3 +150,14 @@ def all_fake_models(folder: Path) -> tuple[Registry, LoadedModels]:
     publish_fake(registry, "push-failing", model=FAILING)
     models.refresh()
     return registry, models
+
+
+def predict_push(
+    model: LoadedModel, pusher: Sequence[float], context: ObjectContext | VisualContext | None
+) -> Gaussian:
+    """Predict one push, as a query does: mean and std, three numbers each, in m, m, rad in the object frame."""
+    kind = ContextKind.NONE if context is None else context.kind
+    tensor, index = (None, None) if context is None else (context.tensor()[None], FIRST_CONTEXT)
+    batch = ContextBatch(kind, tensor, index, "context")
+    mean, std = predict(model, np.array([pusher], dtype=np.float32), batch)
+    return mean[0].tolist(), std[0].tolist()

@@ -33,9 +33,10 @@ from service.model.predictor import OnnxPredictor
 from service.model.tensors import ContextKind
 from service.observability.logs import RequestLog
 from service.pushing.contexts import VISUAL_SIZE
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 from service.settings import Settings
-from service.transport.connection import bounded_connection
+from service.transport.connection import connection_class
 from tests.fakes import draft_manifest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -79,7 +80,9 @@ def publish_visual(registry: Registry) -> None:
     model = visual_model()
     pusher = np.array([[-0.08, 0.0, 0.0]], dtype=np.float32)
     context = np.zeros((1, 1, VISUAL_SIZE, VISUAL_SIZE), dtype=np.float32)
-    mean, std = OnnxPredictor(model, ContextKind.VISUAL).predict(pusher, context, np.zeros(1, dtype=np.int64))
+    mean, std = OnnxPredictor(model, expected_inputs(ContextKind.VISUAL), OUTPUTS).predict(
+        pusher, context, np.zeros(1, dtype=np.int64)
+    )
     rows = context.reshape(1, -1).tolist()
     check = SelfCheck(pusher.tolist(), rows, [0], mean.tolist(), std.tolist(), 1e-4)
     manifest = replace(draft_manifest("push-visual", ContextKind.VISUAL), self_check=check)
@@ -121,7 +124,7 @@ def serve_in_thread(models: LoadedModels, **settings: Any) -> Iterator[httpx2.Cl
     """A service over these models, which may be fakes, on a real port of this process; a client of it."""
     chosen = Settings(poll_interval_s=3600, **settings)
     app = create_app(chosen, models, RequestLog(io.StringIO()))
-    connection = bounded_connection(chosen.body_timeout_s, app.state.requests.refuse)
+    connection = connection_class(chosen.body_timeout_s, app.requests.refuse)
     server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None, access_log=False, http=connection))
     thread = Thread(target=server.run)
     thread.start()

@@ -98,7 +98,7 @@ def test_the_document_takes_a_context_that_the_service_takes(document: dict[str,
     """No more and no fewer: the schema is written beside the checks, and must say the same."""
     schema = {"$ref": "#/components/schemas/ContextBody", "components": document["components"]}
     try:
-        ContextBody.model_validate(context).to_contract()
+        ContextBody.model_validate(context).to_domain()
         taken = True
     except (ValueError, InvalidRequestError):
         taken = False

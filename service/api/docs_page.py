@@ -1,6 +1,6 @@
-"""``/docs``: the page that shows and tries every route. It asks no other host for a part of itself, and may not.
+"""``/docs``: the page that shows and tries every route. It loads files from this host only.
 
-Its parts are those of Swagger UI, which the package fastapi-offline carries: a robot's cell need not reach a CDN.
+The files are those of Swagger UI, from the package fastapi-offline: a robot's network need not reach a CDN.
 """
 
 import re
@@ -12,8 +12,8 @@ from fastapi.openapi.docs import get_swagger_ui_html
 from fastapi.staticfiles import StaticFiles
 
 
-def documentation(title: str) -> APIRouter:
-    """The page and its parts, with addresses that hold behind a proxy's prefix too."""
+def docs_router(title: str) -> APIRouter:
+    """Return the routes of the page and its files, with addresses that also work behind a proxy's prefix."""
     router = APIRouter(include_in_schema=False)
     parts = StaticFiles(packages=[("fastapi_offline", "static")])
     page = get_swagger_ui_html(
@@ -28,12 +28,12 @@ def documentation(title: str) -> APIRouter:
 
     @router.get("/docs")
     async def show() -> Response:
-        """The page."""
+        """Return the page."""
         return page
 
     @router.get("/docs/{part}")
     async def show_part(part: str, request: Request) -> Response:
-        """A script, a style or a picture of it."""
+        """Return a script, a style or an image of the page."""
         response = await parts.get_response(part, request.scope)
         response.headers["Cache-Control"] = "no-cache"  # asked for again after an update; unchanged, it is a 304
         return response
@@ -42,7 +42,7 @@ def documentation(title: str) -> APIRouter:
 
 
 def _policy(page: str) -> str:
-    """What a browser may load for the page: from here only, and of scripts within it those that are in it now."""
+    """Return the Content-Security-Policy: files of this host only, and only the inline scripts of the page."""
     scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
     digests = [f"'sha256-{b64encode(sha256(script.encode()).digest()).decode()}'" for script in scripts]
     return "; ".join(

@@ -1,4 +1,4 @@
-"""Exception handlers of the framework: every failure as a problem."""
+"""Exception handlers of the framework: every failure is answered as a problem."""
 
 from http import HTTPStatus
 from typing import Final, cast
@@ -9,15 +9,16 @@ from fastapi.responses import Response
 from starlette.exceptions import HTTPException
 
 from service.errors import CazslError
-from service.transport.problems import _render, invalid_request, problem_response
+from service.schemas.body import invalid_request
+from service.transport.problems import problem_response, render_problem
 
 _HTTP_CODES: Final = {
-    404: ("no_such_route", "There is no such route"),
-    405: ("method_not_allowed", "The route does not take this method"),
+    404: ("no_such_route", "No such route"),
+    405: ("method_not_allowed", "Method not allowed"),
 }
 
 
-def install_problem_handlers(app: FastAPI) -> None:
+def install_error_handlers(app: FastAPI) -> None:
     """Answer every failure of the app as a problem."""
     app.add_exception_handler(CazslError, _on_error)
     app.add_exception_handler(RequestValidationError, _on_validation)
@@ -33,9 +34,9 @@ async def _on_validation(request: Request, error: Exception) -> Response:
 
 
 async def _on_http(request: Request, raised: Exception) -> Response:
-    """What the framework refuses by itself: routes, methods, bodies that grew over the limit."""
+    """Answer a refusal of the framework: routes and methods."""
     error = cast(HTTPException, raised)
     phrase = HTTPStatus(error.status_code).phrase
     code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
     detail = "see /docs for the routes and their methods"
-    return _render(request.scope, error.status_code, code, title, detail, (), error.headers)
+    return render_problem(request.scope, error.status_code, code, title, detail, headers=error.headers)

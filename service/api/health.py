@@ -1,13 +1,14 @@
-"""The health routes."""
+"""The routes of health and metrics."""
 
 from typing import Any, Final
 
-from fastapi import APIRouter, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
-from service.api.dependencies import readiness_of, snapshot_of
+from service.api.dependencies import may_read_metrics, parts_of, readiness_of, snapshot_of
+from service.observability.prometheus import CONTENT_TYPE, render
 from service.schemas.health import LiveBody, ModelCheckBody, ReadyBody
 
-_NOTHING_YET: Final = ReadyBody(
+_NO_MODEL: Final = ReadyBody(
     ready=False,
     reason="not ready, looking again every 2 s, because the registry holds no model",
     checks=[],
@@ -17,23 +18,19 @@ _NOTHING_YET: Final = ReadyBody(
 _NOT_READY: Final[dict[str, Any]] = {
     "description": "not now; the body says why",
     "model": ReadyBody,
-    "content": {"application/json": {"example": _NOTHING_YET.model_dump()}},
+    "content": {"application/json": {"example": _NO_MODEL.model_dump()}},
 }
-router = APIRouter()
+router = APIRouter(tags=["health"])
+metrics_router = APIRouter(dependencies=[Depends(may_read_metrics)], include_in_schema=False)
 
 
-@router.get("/livez", tags=["health"], summary="Does the process answer?")
+@router.get("/livez", summary="Does the process answer?")
 async def live() -> LiveBody:
     """Always true: who can read it knows."""
     return LiveBody()
 
 
-@router.get(
-    "/readyz",
-    tags=["health"],
-    summary="Can predictions be answered?",
-    responses={503: _NOT_READY},
-)
+@router.get("/readyz", summary="Can predictions be answered?", responses={503: _NOT_READY})
 async def ready(request: Request, response: Response) -> ReadyBody:
     """Ready while a model that passed all its checks answers; a broken newcomer is named here and does not end it."""
     models, readiness = snapshot_of(request), readiness_of(request)
@@ -43,6 +40,11 @@ async def ready(request: Request, response: Response) -> ReadyBody:
         ModelCheckBody(name=check.name, version=check.version, ready=check.ready, reason=check.reason)
         for check in readiness.checks()
     ]
-    names = sorted({name for name, _ in models.models})
-    served = {name: models.versions(name) for name in names}
+    served = {name: models.versions(name) for name in models.names()}
     return ReadyBody(ready=reason is None, reason=reason, checks=checks, models=served, problems=list(models.problems))
+
+
+@metrics_router.get("/metrics")
+async def metrics(request: Request) -> Response:
+    """Return the text of a scrape. It is not part of the API: docs/operations.md has its names."""
+    return Response(render(parts_of(request).metrics), media_type=CONTENT_TYPE)

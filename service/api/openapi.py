@@ -29,11 +29,12 @@ from service.errors import (
     UnsupportedImageError,
     UnsupportedMediaTypeError,
 )
-from service.transport.problems import MEDIA_TYPE, problem_response
+from service.observability.records import RequestRecord, attach_record
+from service.transport.problems import MEDIA_TYPE, internal_error, problem_response
 
 _REQUEST_ID: Final = "3f0c7d2ab4e94c7f9f5d2b1a6c8e0d11"
 ERRORS: Final = (
-    CazslError("the request could not be answered; the log has the cause under this request_id"),
+    internal_error(),
     MalformedBodyError(
         "body: received no JSON (EOF while parsing a value at line 1 column 0); accepted is JSON in UTF-8"
     ),
@@ -137,7 +138,9 @@ def _is_always_there(field: dict[str, Any]) -> bool:
 
 
 def _written(prefix: str, error: CazslError) -> tuple[int, Any]:
-    response = problem_response({"path": prefix, "state": {"request_id": _REQUEST_ID}}, error)
+    scope: dict[str, Any] = {"path": prefix}
+    attach_record(scope, RequestRecord(_REQUEST_ID, "POST"))
+    response = problem_response(scope, error)
     return response.status_code, json.loads(bytes(response.body))
 
 

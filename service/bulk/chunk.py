@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import FieldFault, InvalidRequestError
+from service.inference.query import ContextBatch, predict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
@@ -23,6 +24,7 @@ POSE_COLUMNS: Final = ("x_m", "y_m", "angle_rad")
 CONTEXT_COLUMNS: Final = {ContextKind.INDICATOR: "descriptor", ContextKind.VISUAL: "visual"}
 PREDICTED_COLUMNS: Final = ("mean_x_m", "mean_y_m", "mean_angle_rad", "std_x_m", "std_y_m", "std_angle_rad")
 CHUNK_ROWS: Final = 8192
+CONTEXT_FIELD: Final = "column of contexts"
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class ModelParts:
         Raises:
             BrokenModelError: the model cannot be loaded, or fails its self-check.
         """
-        predictor = OnnxPredictor(self.model, self.manifest.context_kind)
+        predictor = OnnxPredictor(self.model, self.manifest.inputs, self.manifest.outputs)
         check_itself(self.manifest, predictor)
         return LoadedModel(self.manifest, "", predictor)
 
@@ -58,8 +60,8 @@ def predict_chunk(model: LoadedModel, chunk: Chunk) -> FloatArray:
     """Predict mean and std of each push, (n, 6), in the order of ``PREDICTED_COLUMNS``.
 
     Raises:
-        InvalidRequestError: a row is invalid. The error names the first one, its column, the value and the accepted
-        ones. PredictionError: the runtime failed.
+        InvalidRequestError: a row is invalid. Names the first one, its column, the value and the accepted values.
+        PredictionError: the runtime failed.
     """
     kind = model.manifest.context_kind
     contexts, context_fault = _contexts(kind, chunk)
@@ -68,7 +70,7 @@ def predict_chunk(model: LoadedModel, chunk: Chunk) -> FloatArray:
         raise InvalidRequestError([fault[1]])
     pushers: FloatArray = chunk.poses.astype(np.float32)
     pushers[:, 2] = wrap_angles(chunk.poses[:, 2])
-    mean, std = model.predict(pushers, kind, contexts, chunk.context_index)
+    mean, std = predict(model, pushers, ContextBatch(kind, contexts, chunk.context_index, CONTEXT_FIELD))
     return np.hstack([mean, std])
 
 

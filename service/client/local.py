@@ -1,55 +1,44 @@
-"""The service's answers without a service: what a client sends is answered here, in this process.
+"""The service's answers in this process: the transport of ``Client.local``.
 
-It reads with the same schemas, asks the same functions and writes the same bytes as the HTTP service, problems
-included. What guards a service (keys, limits on time, bytes and requests at once) has nothing to guard here.
+It reads, asks and encodes with the endpoints of ``/v1``, as the HTTP service does, so that answers and problems are the
+same to the byte. API keys and limits on time, bytes and concurrent requests protect a service and do not exist here.
 """
 
 import asyncio
 import re
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Final, Self, TypeVar
+from typing import Any, Final, Self
 
 import httpx2
-import pydantic_core
-from pydantic import ValidationError
-from starlette.datastructures import Headers
 
 from service.api.v1.catalogue import model_body, models_body, version_body
-from service.api.v1.queries import describe_upload, predict_batch, predict_one, predict_upload
-from service.api.v1.uploads import Upload, read_upload
-from service.errors import CazslError, MalformedBodyError, ModelNotReadyError
+from service.api.v1.endpoints import ENDPOINTS
+from service.errors import CazslError, InvalidRequestError, ModelNotReadyError
 from service.inference.loaded_models import LoadedModels
 from service.inference.snapshot import Snapshot
 from service.model.predictor import OnnxPredictor
+from service.model.reference import NAME_PATTERN, VERSION_PATTERN
 from service.registry.location import open_registry, trusted_keys
-from service.schemas.pushes import BatchRequest, PredictRequest
-from service.transport.problems import invalid_request, problem_body
+from service.transport.endpoints import NO_PARAMETERS, Endpoint, HttpRequest
+from service.transport.problems import problem_body
 
-P = TypeVar("P", PredictRequest, BatchRequest)
-_MODEL: Final = re.compile(r"/v1/models/(?P<name>[A-Za-z0-9_-]+)(?:/versions/(?P<version>[0-9]{1,9}))?")
+_MODEL: Final = re.compile(rf"/v1/models/(?P<name>{NAME_PATTERN})(?:/versions/(?P<version>{VERSION_PATTERN}))?")
+_ENDPOINTS: Final[dict[str, Endpoint[Any]]] = {endpoint.path: endpoint for endpoint in ENDPOINTS}
 
 
 class InProcess(httpx2.BaseTransport, httpx2.AsyncBaseTransport):
-    """A transport of httpx that answers what it is given, from models in memory."""
+    """A transport of httpx that answers requests from models in memory."""
 
     def __init__(self, models: Snapshot) -> None:
         self._models = models
-        self._doors: dict[str, Callable[[httpx2.Request], bytes]] = {
-            "/v1/predict": self._predict,
-            "/v1/predict/batch": self._predict_batch,
-            "/v1/predict/image": self._predict_image,
-            "/v1/contexts": self._make_context,
-            "/v1/models": lambda _: models_body(models).model_dump_json().encode(),
-        }
 
     @classmethod
     def over(cls, registry: str, require_signature: str = "") -> Self:
-        """Over the models of a registry as it is now; each version is verified as a service would.
+        """Load the models of a registry as it is now. Each version is verified as in a service.
 
         Raises:
             RegistryError: the registry cannot be one, or a key cannot be read.
-            ModelNotReadyError: no model in it can be used; says why.
+            ModelNotReadyError: no model in it can be used. Names the reasons.
         """
         models = LoadedModels(open_registry(registry, trusted_keys(require_signature)), OnnxPredictor)
         models.refresh()
@@ -63,20 +52,21 @@ class InProcess(httpx2.BaseTransport, httpx2.AsyncBaseTransport):
         try:
             return _response(200, self._answer(request))
         except CazslError as error:
-            return _problem(error)
-        except ValidationError as error:
-            found = error.errors(include_url=False)
-            return _problem(invalid_request([{**fault, "loc": ("body", *fault["loc"])} for fault in found]))
+            faults = error.faults if isinstance(error, InvalidRequestError) else ()
+            return _response(error.status, problem_body(error.status, error.code, error.title, str(error), faults))
 
     async def handle_async_request(self, request: httpx2.Request) -> httpx2.Response:
-        """Answer one request of an asyncio client, in a thread: the loop goes on."""
+        """Answer one request of an asyncio client, in a thread."""
         await request.aread()
         return await asyncio.to_thread(self.handle_request, request)
 
     def _answer(self, request: httpx2.Request) -> bytes:
         path = request.url.path
-        if path in self._doors:
-            return self._doors[path](request)
+        endpoint = _ENDPOINTS.get(path)
+        if endpoint is not None:
+            return self._predict(endpoint, request)
+        if path == "/v1/models":
+            return models_body(self._models).model_dump_json().encode()
         asked = _MODEL.fullmatch(path)
         if asked is None:
             raise CazslError(f"{path} is not answered in process")
@@ -84,36 +74,14 @@ class InProcess(httpx2.BaseTransport, httpx2.AsyncBaseTransport):
             return model_body(self._models, asked["name"]).model_dump_json().encode()
         return version_body(self._models, asked["name"], int(asked["version"])).model_dump_json().encode()
 
-    def _predict(self, request: httpx2.Request) -> bytes:
-        return predict_one(self._models, _read(PredictRequest, request)).content
-
-    def _predict_batch(self, request: httpx2.Request) -> bytes:
-        return predict_batch(self._models, _read(BatchRequest, request)).content
-
-    def _predict_image(self, request: httpx2.Request) -> bytes:
-        return predict_upload(self._models, _upload(request)).content
-
-    def _make_context(self, request: httpx2.Request) -> bytes:
-        return describe_upload(self._models, _upload(request)).content
-
-
-def _read(kind: type[P], request: httpx2.Request) -> P:
-    try:
-        document = pydantic_core.from_json(request.content)
-    except ValueError as error:
-        raise MalformedBodyError(f"body: received no JSON ({error}); accepted is JSON in UTF-8") from error
-    return kind.model_validate(document, from_attributes=True)  # as the web framework asks: the same words for a fault
-
-
-def _upload(request: httpx2.Request) -> Upload:
-    """The form, read in a thread of its own: the caller's may be running a loop, as notebooks do, and it needs one."""
-    with ThreadPoolExecutor(max_workers=1) as threads:
-        return threads.submit(read_upload, Headers(dict(request.headers)), request.content).result()
-
-
-def _problem(error: CazslError) -> httpx2.Response:
-    faults = getattr(error, "faults", ())
-    return _response(error.status, problem_body(error.status, error.code, error.title, str(error), faults))
+    def _predict(self, endpoint: Endpoint[Any], request: httpx2.Request) -> bytes:
+        headers = [(name.lower(), value) for name, value in request.headers.raw]
+        asked = HttpRequest(headers, request.content, NO_PARAMETERS)
+        if endpoint.is_read_quickly(asked):
+            return endpoint.answer(self._models, asked).content
+        # A form is parsed in an event loop, and this thread may be running one already, as notebooks do.
+        with ThreadPoolExecutor(max_workers=1) as threads:
+            return threads.submit(endpoint.answer, self._models, asked).result().content
 
 
 def _response(status: int, content: bytes) -> httpx2.Response:

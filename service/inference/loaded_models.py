@@ -1,80 +1,89 @@
-"""Verified predictors in memory: load, self-check, swap, release, readiness.
+"""Verified models in memory: load, self-check, swap, release.
 
-``refresh`` brings memory in line with the registry: every version that an alias names and the newest few of each model
-are loaded, each verified in the written order (format, sizes, digests, tensors, self-check) before anyone can reach
-it. What is served is one immutable snapshot, exchanged by assigning one reference: a request keeps the model that it
-started with. A new version that is broken changes nothing: its alias goes on meaning what it meant, and readiness
-says why. A registry that cannot be read changes nothing either, and what is gone without having been removed, be it a
-whole folder that is no longer mounted, goes on being served.
+``refresh`` brings memory in line with the registry. Every version that an alias names and the newest few of each model
+are loaded. Each is verified (format, sizes, digests, tensors, self-check) before a request can reach it. The served
+models are one immutable snapshot, exchanged by assigning one reference: a request keeps the model that it started with.
+
+If a new version fails verification, its alias keeps the previous version, and readiness names the reason. If the
+registry cannot be read, everything stays as it is. A version or folder that disappears without having been removed, as
+when a disk is no longer mounted, stays served.
 """
 
 import contextlib
 import logging
 import threading
-from dataclasses import replace
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from typing import Final
 
-from service.errors import (
-    CazslError,
-)
-from service.inference.counters import Tally
+from service.errors import CazslError
 from service.inference.snapshot import Snapshot
-from service.model.loaded_model import LoadedModel, PredictorFactory
-from service.model.tensors import ContextKind
-from service.pushing.contexts import ObjectContext, VisualContext
+from service.model.loaded_model import LoadedModel
+from service.model.predictor import PredictorFactory
 from service.registry.loading import load_version
 from service.registry.registry import Registry
 from service.storage.history import ModelState
 
-# Files that hands or other tools moved need not show in a fingerprint: every so many looks, one looks at everything.
+# A file that was moved by hand may not change the fingerprint of the registry: every so many polls, everything is read.
 THOROUGH_EVERY: Final = 30
 
 logger = logging.getLogger(__name__)
 
 
-def context_kind_of(context: ObjectContext | VisualContext | None) -> ContextKind:
-    """The kind of context that was given."""
-    return ContextKind.NONE if context is None else context.kind
+@dataclass
+class ModelCounters:
+    """Counters since the start, by model name, and the state of the registry at the last poll."""
+
+    loads: Counter[str] = field(default_factory=Counter)
+    releases: Counter[str] = field(default_factory=Counter)
+    failures: Counter[str] = field(default_factory=Counter)
+    swaps: Counter[tuple[str, str]] = field(default_factory=Counter)
+    registry_failures: int = 0
+    registry_up: bool = False
 
 
 class LoadedModels:
-    """Keeps a snapshot in line with a registry."""
+    """The served models of a registry, as a snapshot that ``refresh`` renews."""
 
     def __init__(self, registry: Registry, load: PredictorFactory, newest_versions: int = 8) -> None:
         self._registry = registry
         self._load = load
         self._newest_versions = newest_versions
-        self.tally = Tally()
+        self.counters = ModelCounters()
         self._snapshot = Snapshot()
-        self._seen: object = None
-        self._looks = 0
+        self._last_fingerprint: object = None
+        self._polls = 0
         self._refreshing = threading.Lock()
 
     @property
     def snapshot(self) -> Snapshot:
-        """What is served now; hold on to it for the length of a request."""
+        """Return the models that are served now; keep it for the length of a request."""
         return self._snapshot
 
     def refresh(self) -> None:
-        """Bring memory in line with the registry; never raises for what is found there."""
+        """Bring memory in line with the registry. Problems of the registry never raise: the snapshot lists them."""
         with self._refreshing:
-            self._looks += 1
+            self._polls += 1
             try:
-                seen = self._registry.fingerprint()
-                self.tally.registry_up = True
-                if seen == self._seen and not self._snapshot.problems and self._looks % THOROUGH_EVERY:
+                fingerprint = self._registry.fingerprint()
+                self.counters.registry_up = True
+                if (
+                    fingerprint == self._last_fingerprint
+                    and not self._snapshot.problems
+                    and self._polls % THOROUGH_EVERY
+                ):
                     return
                 snapshot = self._next_snapshot()
-                self._seen = seen
+                self._last_fingerprint = fingerprint
             except CazslError as error:
-                self.tally.registry_up = False
-                self.tally.registry_failures += 1
-                snapshot = self._without_news(str(error))
+                self.counters.registry_up = False
+                self.counters.registry_failures += 1
+                snapshot = self._after_failure(str(error))
             self._announce(snapshot)
             self._snapshot = snapshot
 
-    def _without_news(self, problem: str) -> Snapshot:
-        """What goes on being served; where nothing is yet, what the storage remembers although it cannot be asked."""
+    def _after_failure(self, problem: str) -> Snapshot:
+        """Return the old snapshot with a new problem; at the start, the versions that the storage has cached."""
         if not self._snapshot.models:
             with contextlib.suppress(CazslError):
                 remembered = self._next_snapshot()
@@ -90,9 +99,7 @@ class LoadedModels:
             state = self._registry.state(name)
             lost = self._lost_versions(name, state)
             wanted = self._lost_aliases(name, state) | dict(state.aliases)
-            problems += [
-                f"{name}@{version} has vanished without being removed and goes on being served" for version in lost
-            ]
+            problems += [f"{name}@{version} has vanished without being removed and stays served" for version in lost]
             newest = sorted(state.versions)[-self._newest_versions :]
             for version in sorted({*newest, *wanted.values(), *lost}):
                 try:
@@ -100,27 +107,27 @@ class LoadedModels:
                         self._registry, self._load, name, version
                     )
                 except CazslError as error:
-                    self.tally.failures[name] += 1
+                    self.counters.failures[name] += 1
                     problems.append(f"{name}@{version} is broken and not served: {error}")
             for alias, version in wanted.items():
                 kept = self._snapshot.aliases.get((name, alias))
                 if alias not in state.aliases:
-                    problems.append(f"{name}@{alias} has vanished; {version} goes on being served")
+                    problems.append(f"{name}@{alias} has vanished; {version} stays served")
                 if (name, version) in models:
                     aliases[name, alias] = version
                 elif kept is not None and (old := self._snapshot.models.get((name, kept))) is not None:
                     models[name, kept] = old
                     aliases[name, alias] = kept
-                    problems.append(f"{name}@{alias} should be {version}; {kept} goes on being served")
+                    problems.append(f"{name}@{alias} should be {version}; {kept} stays served")
         return Snapshot(models, aliases, tuple(problems) if models or problems else ("the registry holds no model",))
 
     def _lost_versions(self, name: str, state: ModelState) -> set[int]:
-        """Versions that are served and neither there nor removed: the storage blinked, or a hand deleted them."""
+        """Return versions that are served, and neither there nor removed: an outage, or files deleted by hand."""
         served = {version for model, version in self._snapshot.models if model == name}
         return served - state.versions - state.removed
 
     def _lost_aliases(self, name: str, state: ModelState) -> dict[str, int]:
-        """Aliases that are served and no longer there, though no line of the history tells that they were dropped."""
+        """Return aliases that are served and no longer there, though the history has no line that drops them."""
         missing = {
             alias: version
             for (model, alias), version in self._snapshot.aliases.items()
@@ -134,17 +141,17 @@ class LoadedModels:
         return missing
 
     def _announce(self, new: Snapshot) -> None:
-        """Log and count what changed, once."""
-        old, tally = self._snapshot, self.tally
+        """Log and count the changes, once."""
+        old, counters = self._snapshot, self.counters
         for name, version in sorted(new.models.keys() - old.models.keys()):
-            tally.loads[name] += 1
+            counters.loads[name] += 1
             logger.info("model loaded", extra={"model": name, "version": version})
         for name, version in sorted(old.models.keys() - new.models.keys()):
-            tally.releases[name] += 1
+            counters.releases[name] += 1
             logger.info("model released", extra={"model": name, "version": version})
         for (name, alias), version in new.aliases.items():
             if old.aliases.get((name, alias)) != version:
-                tally.swaps[name, alias] += (name, alias) in old.aliases
+                counters.swaps[name, alias] += (name, alias) in old.aliases
                 logger.info("alias serves", extra={"model": name, "alias": alias, "version": version})
         if new.problems != old.problems:
             for problem in new.problems:

@@ -1,9 +1,10 @@
-"""Single pushes that arrive in one turn of the event loop are asked about in one call of the runtime.
+"""Micro-batching: single pushes that arrive in one iteration of the event loop run in one onnxruntime call.
 
-Under load a turn finds many requests. The runtime reads a model's weights once a call, and between two calls the rest
-of a request has driven them out of the core's cache: reading them took longer than all else that a push needs. Nobody
-waits for others to come: what is there is asked at the end of the turn. A push's answer is the same to the bit with
-whatever stands beside it (``predictor`` sees to that), and where a call fails, each of its pushes is asked about alone.
+Under load an iteration reads many requests. onnxruntime reads a model's weights once a call, and between two calls the
+rest of a request evicts them from the core's cache: reading them took longer than all else that a push needs
+(``benchmarks/serving.py``). No request waits for others: the call runs at the end of the iteration. The prediction of a
+push is the same to the bit whatever stands beside it (see ``service.model.predictor``). Where a call fails, each of its
+pushes is predicted alone.
 """
 
 import asyncio
@@ -15,40 +16,39 @@ from typing import Final
 
 import numpy as np
 
-from service.api.v1.queries import Question
-from service.inference.query import Answer
+from service.inference.query import Answer, ContextBatch, Query, predict
 from service.model.tensors import FloatArray
-from service.observability.timings import took
+from service.observability.timings import record_timing
 
-MOST_PUSHES: Final = 64  # of one call, which holds the loop for as long: a tenth of a millisecond
+MAX_PUSHES_PER_CALL: Final = 64  # holds the event loop for a tenth of a millisecond
 Gaussian = tuple[FloatArray, FloatArray, float]  # mean and std (1, 3), and the seconds that the call took
-Tell = Callable[[Gaussian | Exception], None]
-Waiting = tuple[Question, Tell]
+Callback = Callable[[Gaussian | Exception], None]
+_Waiting = tuple[Query, Callback]
 
 logger = logging.getLogger(__name__)
 
 
-class Turns:
-    """Gathers the single pushes of a turn; for one event loop."""
+class MicroBatcher:
+    """Collects the single pushes of an iteration of one event loop."""
 
     def __init__(self) -> None:
-        self._waiting: list[Waiting] = []
+        self._waiting: list[_Waiting] = []
 
-    def ask(self, question: Question, tell: Tell) -> None:
-        """Ask about one push at the end of this turn; ``tell`` gets the outcome, an error as it was raised."""
-        if not self._waiting:  # of no request: each is told its own time
-            asyncio.get_running_loop().call_soon(self.end, context=Context())
-        self._waiting.append((question, tell))
+    def submit(self, query: Query, callback: Callback) -> None:
+        """Predict one push at the end of this iteration. The callback gets the outcome, an error as it was raised."""
+        if not self._waiting:  # in a context of its own: each request records its own timing
+            asyncio.get_running_loop().call_soon(self.flush, context=Context())
+        self._waiting.append((query, callback))
 
-    async def answer(self, question: Question) -> Answer:
-        """The answer to a question of one push.
+    async def answer(self, query: Query) -> Answer:
+        """Answer a query of one push.
 
         Raises:
-            ContextKindError, PredictionError: as ``Question.answer``.
+            ContextKindError, PredictionError: see ``Query.answer``.
         """
         future: asyncio.Future[Gaussian] = asyncio.get_running_loop().create_future()
 
-        def tell(outcome: Gaussian | Exception) -> None:
+        def callback(outcome: Gaussian | Exception) -> None:
             if future.done():  # its client has left
                 return
             if isinstance(outcome, Exception):
@@ -56,65 +56,71 @@ class Turns:
             else:
                 future.set_result(outcome)
 
-        self.ask(question, tell)
+        self.submit(query, callback)
         mean, std, seconds = await future
-        took("inference", seconds)
-        return question.answered(mean, std)
+        record_timing("inference", seconds)
+        return query.encode(mean, std)
 
-    def end(self) -> None:
-        """Ask about what waits, now."""
+    def flush(self) -> None:
+        """Predict the pushes that wait, now."""
         waiting, self._waiting = self._waiting, []
         for group in _groups(waiting):
             _settle(group)
 
 
-def _groups(waiting: Iterable[Waiting]) -> list[list[Waiting]]:
-    """Those for one model with one kind of object together, so many at once."""
-    filling: dict[tuple[int, str], list[Waiting]] = {}
-    groups: list[list[Waiting]] = []
+def _groups(waiting: Iterable[_Waiting]) -> list[list[_Waiting]]:
+    """Group queries of one model with one kind of context, at most ``MAX_PUSHES_PER_CALL`` together."""
+    filling: dict[tuple[int, str], list[_Waiting]] = {}
+    groups: list[list[_Waiting]] = []
     for one in waiting:
-        key = (id(one[0].model), one[0].objects.kind)
+        key = (id(one[0].model), one[0].contexts.kind)
         group = filling.get(key)
-        if group is None or len(group) == MOST_PUSHES:
+        if group is None or len(group) == MAX_PUSHES_PER_CALL:
             group = filling[key] = []
             groups.append(group)
         group.append(one)
     return groups
 
 
-def _settle(group: Sequence[Waiting]) -> None:
-    """Ask about a group, and tell everybody who still waits; whatever happens, nobody is left waiting."""
+def _settle(group: Sequence[_Waiting]) -> None:
+    """Predict a group and call every callback, whatever fails."""
     try:
-        found = _predict([question for question, _ in group])
+        found = _predict([query for query, _ in group])
     except Exception as error:  # one push must not spoil the others, and a bug here must not leave them waiting
         if len(group) > 1:
             for one in group:
                 _settle([one])
         else:
-            _tell(group[0][1], error)
+            _call(group[0][1], error)
         return
-    for (_, tell), gaussian in zip(group, found, strict=True):
-        _tell(tell, gaussian)
+    for (_, callback), gaussian in zip(group, found, strict=True):
+        _call(callback, gaussian)
 
 
-def _tell(tell: Tell, outcome: Gaussian | Exception) -> None:
+def _call(callback: Callback, outcome: Gaussian | Exception) -> None:
     try:
-        tell(outcome)
+        callback(outcome)
     except Exception:  # as above
         logger.exception("an answer was lost")
 
 
-def _predict(questions: Sequence[Question]) -> list[Gaussian]:
+def _predict(queries: Sequence[Query]) -> list[Gaussian]:
     began = time.perf_counter()
-    objects = questions[0].objects
-    pushers, tensor, places = questions[0].pushers, objects.tensor, objects.places
-    if len(questions) > 1:
-        pushers = np.concatenate([question.pushers for question in questions])
-        if tensor is not None:
-            distinct = {id(question.objects.tensor): question.objects.tensor for question in questions}
-            order = {key: place for place, key in enumerate(distinct)}
-            tensor = np.concatenate([known for known in distinct.values() if known is not None])
-            places = np.array([order[id(question.objects.tensor)] for question in questions], dtype=np.int64)
-    mean, std = questions[0].model.predict(pushers, objects.kind, tensor, places)
+    mean, std = predict(queries[0].model, *_together(queries))
     seconds = time.perf_counter() - began
-    return [(mean[row : row + 1], std[row : row + 1], seconds) for row in range(len(questions))]
+    return [(mean[row : row + 1], std[row : row + 1], seconds) for row in range(len(queries))]
+
+
+def _together(queries: Sequence[Query]) -> tuple[FloatArray, ContextBatch]:
+    """Return the pushes of all queries, and their distinct contexts."""
+    first = queries[0].contexts
+    if len(queries) == 1:
+        return queries[0].pushers, first
+    pushers = np.concatenate([query.pushers for query in queries])
+    if first.tensor is None:
+        return pushers, first
+    distinct = {id(query.contexts.tensor): query.contexts.tensor for query in queries}
+    order = {key: number for number, key in enumerate(distinct)}
+    tensor = np.concatenate([known for known in distinct.values() if known is not None])
+    index = np.array([order[id(query.contexts.tensor)] for query in queries], dtype=np.int64)
+    return pushers, ContextBatch(first.kind, tensor, index, first.where)

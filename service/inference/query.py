@@ -6,7 +6,6 @@ Every question to a model passes through ``predict``, whichever protocol asks it
 import math
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,10 +23,12 @@ _LARGEST_ANGLE: Final = np.nextafter(np.float32(math.pi), np.float32(0.0))  # fl
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The bytes of an answer, its headers, and its part of the request's log line."""
+    """The bytes of an answer and its headers, and for predictions the model and the number of pushes."""
 
     content: bytes
-    notes: Mapping[str, str | int]
+    model: str = ""
+    version: int = 0
+    pushes: int = 0
     headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
 
     def head(self) -> tuple[tuple[bytes, bytes], ...]:
@@ -101,11 +102,6 @@ class Query(ABC):
             ContextKindError, PredictionError: see ``predict``.
         """
         return predict(self.model, self.pushers, self.contexts)
-
-    def notes(self) -> dict[str, str | int]:
-        """Return the query's part of the log line: model, version, number of pushes."""
-        manifest = self.model.manifest
-        return {"model": manifest.name, "version": manifest.version, "pushes": len(self.pushers)}
 
     @abstractmethod
     def encode(self, mean: FloatArray, std: FloatArray) -> Answer:

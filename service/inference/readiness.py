@@ -1,8 +1,8 @@
-"""Whether predictions can be answered, said truthfully: loaded, checked, and a tiny inference that was right just now.
+"""Readiness: a model is loaded, passed its checks, and its last probe was right.
 
-A model that is loaded passed its self-check. On a timer every one of them is asked for its self-check again, in a
-thread, each within a limit: a model that fails, gives something else or does not end is not ready, and comes back by
-itself once it answers. A registry that cannot be read makes nothing unready that is served.
+A loaded model passed its self-check. A timer runs the self-check of every model again, in a thread, each within a time
+limit. A model that fails, gives another output or does not end is not ready, and becomes ready again once it answers. A
+registry that cannot be read changes the readiness of no model.
 """
 
 import asyncio
@@ -17,14 +17,14 @@ from service.model.loaded_model import LoadedModel
 from service.model.self_check import check_itself
 
 Key = tuple[str, int]
-DRAINING: Final = "SIGTERM has come: what is running is finished, nothing new should be sent here"
+DRAINING: Final = "SIGTERM was received: running requests are finished; send new ones to another instance"
 
 logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """One version that is loaded, and why it cannot be asked where it cannot."""
+    """The result of the last probe of a loaded version: the reason of its failure, or None."""
 
     name: str
     version: int
@@ -32,12 +32,12 @@ class ModelCheck:
 
     @property
     def ready(self) -> bool:
-        """Whether its last inference was right."""
+        """Return whether the last probe was right."""
         return self.reason is None
 
 
 class Readiness:
-    """What the probes found."""
+    """The results of the probes of all loaded versions."""
 
     def __init__(self, models: LoadedModels, poll_interval_s: float, limit_s: float) -> None:
         self._models = models
@@ -49,24 +49,24 @@ class Readiness:
         self.draining = False
 
     def drain(self) -> None:
-        """The end has come: nothing new should be sent here."""
+        """Stop being ready: the service is about to end."""
         self.draining = True
 
     def checks(self) -> list[ModelCheck]:
-        """Every version that is loaded, by name and number; a newcomer passed its self-check while it was loaded."""
+        """Return the result for every loaded version, by name and number. A new version passed its self-check at loading."""
         reasons = self._reasons
         return [ModelCheck(*key, reasons.get(key)) for key in sorted(self._models.snapshot.models)]
 
     def reason_against(self, name: str, version: int) -> str | None:
-        """Why this version cannot be asked now; None when it can."""
+        """Return why this version is not ready; None when it is."""
         return self._reasons.get((name, version))
 
     def is_ready(self) -> bool:
-        """Whether to send requests here: a model can be asked, and the end has not come."""
+        """Return whether a model is ready and the service is not about to end."""
         return not self.draining and any(check.ready for check in self.checks())
 
     def reason(self) -> str | None:
-        """Why not, and what is being done about it; None when ready."""
+        """Return why the service is not ready, and what it does about it; None when it is ready."""
         if self.draining:
             return DRAINING
         if self.is_ready():
@@ -76,7 +76,7 @@ class Readiness:
         return f"not ready, looking again every {self._poll_interval_s:g} s, because {cause or 'no model is loaded'}"
 
     async def probe(self) -> None:
-        """Ask every loaded version for its self-check once; never raises for what is found."""
+        """Run the self-check of every loaded version once. Failures never raise: they make a version not ready."""
         models = self._models.snapshot.models
         found = {key: await self._probe(key, model) for key, model in models.items()}
         for key, reason in found.items():
@@ -84,11 +84,11 @@ class Readiness:
                 self.failures[key[0]] += 1
             if reason != self._reasons.get(key):
                 extra = {"model": key[0], "version": key[1], "reason": reason}
-                logger.warning("model cannot be asked" if reason else "model can be asked again", extra=extra)
+                logger.warning("model is not ready" if reason else "model is ready again", extra=extra)
         self._reasons = {key: reason for key, reason in found.items() if reason is not None}
 
     async def _probe(self, key: Key, model: LoadedModel) -> str | None:
-        """One tiny inference; one that did not end is waited for rather than asked again."""
+        """Run one self-check. One that did not end is awaited further rather than run again."""
         running = self._running.pop(key, None)
         if running is None:
             running = asyncio.ensure_future(asyncio.to_thread(check_itself, model.manifest, model.predictor))
@@ -96,10 +96,12 @@ class Readiness:
             await asyncio.wait_for(asyncio.shield(running), self._limit_s)
         except TimeoutError:
             self._running[key] = running
-            return f"a tiny inference did not end within {self._limit_s:g} s"
+            return f"the self-check did not end within {self._limit_s:g} s"
         except CazslError as error:
             return str(error)
-        except Exception:  # the outermost ring of the probe: what nobody foresaw is a reason too, and ends no timer
+        except (
+            Exception
+        ):  # the outermost ring of the probe: an unexpected exception is a reason too, and must not end the timer
             logger.exception("probe failed", extra={"model": key[0], "version": key[1]})
-            return "a tiny inference failed; the log has the cause"
+            return "the self-check failed; the log has the cause"
         return None

@@ -1,13 +1,10 @@
-"""Snapshot: the models that are served at one instant."""
+"""The snapshot of all models that are served at one instant."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from service.errors import (
-    ModelNotReadyError,
-    UnknownModelError,
-)
+from service.errors import ModelNotReadyError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.reference import DEFAULT_ALIAS, ModelReference
 from service.model.tensors import ContextKind
@@ -18,18 +15,18 @@ _DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, na
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What is served at one instant."""
+    """The served models, their aliases, and the problems of the registry. Immutable: a request uses one throughout."""
 
     models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
     aliases: Mapping[tuple[str, str], int] = field(default_factory=dict)
     problems: tuple[str, ...] = ("the registry was not read yet",)
 
     def find(self, reference: ModelReference) -> LoadedModel:
-        """The model that a reference means in this snapshot.
+        """Return the model that a reference names.
 
         Raises:
             UnknownModelError: it is not served.
-            ModelNotReadyError: nothing at all is served yet.
+            ModelNotReadyError: no model is served yet.
         """
         version = reference.version
         if reference.alias is not None:
@@ -45,27 +42,29 @@ class Snapshot:
         raise UnknownModelError(f"model: received a reference that is not served; accepted is one of: {served}")
 
     def find_default(self, kind: ContextKind) -> LoadedModel:
-        """The champion of the default model for this kind of context.
+        """Return the champion of the default model for a kind of context.
 
         Raises:
-            UnknownModelError, ModelNotReadyError: as ``find``.
+            UnknownModelError, ModelNotReadyError: see ``find``.
         """
         return self.find(_DEFAULTS[kind])
 
+    def names(self) -> list[str]:
+        """Return the names of the served models, sorted."""
+        return sorted({name for name, _ in self.models})
+
     def versions(self, name: str) -> list[int]:
-        """The served versions of a model, oldest first.
+        """Return the served versions of a model, oldest first.
 
         Raises:
             UnknownModelError: none is served.
         """
         numbers = sorted(number for model, number in self.models if model == name)
         if not numbers:
-            raise UnknownModelError(f"name: received a model that is not served; accepted is one of: {self._names()}")
+            served = ", ".join(self.names()) or "none"
+            raise UnknownModelError(f"name: received a model that is not served; accepted is one of: {served}")
         return numbers
 
     def aliases_of(self, name: str) -> dict[str, int]:
-        """The aliases of a model and what they mean here."""
+        """Return the aliases of a model and the versions that they name."""
         return {alias: version for (model, alias), version in self.aliases.items() if model == name}
-
-    def _names(self) -> str:
-        return ", ".join(sorted({name for name, _ in self.models})) or "none"

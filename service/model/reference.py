@@ -1,4 +1,4 @@
-"""The names that models go by: names, aliases, versions, references. The one grammar of all of them."""
+"""The grammar of names: models, aliases, versions, and references to them. No other module has one of its own."""
 
 import re
 from dataclasses import dataclass
@@ -7,29 +7,32 @@ from typing import Final, Self
 from service.errors import InvalidRequestError
 
 DEFAULT_ALIAS: Final = "champion"
-_NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
-_VERSION = re.compile(r"[1-9][0-9]{0,8}")
+NAME_PATTERN: Final = "[a-z0-9][a-z0-9_-]{0,63}"
+ALIAS_PATTERN: Final = "[a-z][a-z0-9_-]{0,63}"  # for documents: it leaves out aliases that begin with a digit
+VERSION_PATTERN: Final = "[1-9][0-9]{0,8}"
+_NAME = re.compile(NAME_PATTERN)
+_VERSION = re.compile(VERSION_PATTERN)
 REFERENCE_SYNTAX: Final = "name, name@alias or name@version, of lower-case letters, digits, '-' and '_'"
 
 
 def is_name(text: str) -> bool:
-    """Whether this may name a model or an alias; a number is no alias."""
+    """Return whether a text may name a model."""
     return _NAME.fullmatch(text) is not None
 
 
 def is_alias(text: str) -> bool:
-    """Whether this may name an alias: a name that cannot be taken for a version."""
+    """Return whether a text may name an alias: a name that is not a number, and so not a version."""
     return is_name(text) and not text.isdigit()
 
 
 def parse_version(text: str) -> int | None:
-    """A positive integer without leading zeros, or None."""
+    """Return a positive integer without leading zeros, or None."""
     return int(text) if _VERSION.fullmatch(text) else None
 
 
 @dataclass(frozen=True, slots=True)
 class ModelReference:
-    """How a caller names a model: ``name``, ``name@alias`` or ``name@version``; ``name`` alone means its champion."""
+    """A reference to a model: ``name``, ``name@alias`` or ``name@version``. ``name`` alone names its champion."""
 
     name: str
     alias: str | None
@@ -37,10 +40,10 @@ class ModelReference:
 
     @classmethod
     def parse(cls, text: str, where: str = "model") -> Self:
-        """Read a reference.
+        """Parse a reference.
 
         Raises:
-            InvalidRequestError: it is not one; the text is not repeated.
+            InvalidRequestError: it is not one. The message does not repeat the text.
         """
         name, at, rest = text.partition("@")
         version = parse_version(rest)

@@ -1,4 +1,4 @@
-"""Logs as JSON lines."""
+"""Logs as JSON lines on standard error."""
 
 import asyncio
 import sys
@@ -9,14 +9,17 @@ import orjson
 from pythonjsonlogger.core import RESERVED_ATTRS
 from pythonjsonlogger.json import JsonFormatter
 
-_HEAD: Final = {"level": "INFO", "logger": __name__, "message": "request"}
+from service.observability.records import RequestRecord
+
+REQUEST_LOGGER: Final = "service.requests"
+_HEAD: Final = {"level": "INFO", "logger": REQUEST_LOGGER, "message": "request"}
 _ORJSON: Final = orjson.OPT_UTC_Z
 _FLUSH_S: Final = 0.2
 _FLUSH_LINES: Final = 512
 
 
 def configure_logging(level: str) -> None:
-    """One JSON line per event on standard error, uvicorn's own lines included."""
+    """Write one JSON line per event on standard error, uvicorn's own lines included."""
     dictConfig(
         {
             "version": 1,
@@ -32,35 +35,36 @@ def configure_logging(level: str) -> None:
                 }
             },
             "handlers": {"stderr": {"class": "logging.StreamHandler", "formatter": "json"}},
-            "loggers": {"python_multipart": {"level": "ERROR"}},  # it repeats what is wrong in forms, byte by byte
+            "loggers": {"python_multipart": {"level": "ERROR"}},  # it repeats the faults of forms, byte by byte
             "root": {"level": level, "handlers": ["stderr"]},
         }
     )
 
 
 class RequestLog:
-    """A JSON line for every request, written together a few times a second: a write each costs as much as a prediction.
+    """A JSON line per request, written in groups: a write for each costs as much as a prediction.
 
-    Lines that are not written yet are lost when the process is killed; ``flush`` writes them at an orderly end.
+    Lines that are not written yet are lost when the process is killed. ``flush`` writes them at an orderly end.
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = stream
-        self._lines: list[dict[str, object]] = []
+        self._records: list[RequestRecord] = []
 
-    def add(self, line: dict[str, object]) -> None:
-        """Take a line; it is written soon."""
-        if not self._lines:
+    def add(self, record: RequestRecord) -> None:
+        """Take the record of a finished request. Its line is written within a fraction of a second."""
+        if not self._records:
             asyncio.get_running_loop().call_later(_FLUSH_S, self.flush)
-        self._lines.append(line)
-        if len(self._lines) >= _FLUSH_LINES:
+        self._records.append(record)
+        if len(self._records) >= _FLUSH_LINES:
             self.flush()
 
     def flush(self) -> None:
-        """Write what there is."""
-        lines, self._lines = self._lines, []
-        text = b"\n".join([orjson.dumps(_HEAD | line, option=_ORJSON) for line in lines])
-        if lines:
-            stream = self._stream or sys.stderr
-            stream.write(text.decode() + "\n")
-            stream.flush()
+        """Write the lines that are waiting."""
+        records, self._records = self._records, []
+        if not records:
+            return
+        text = b"\n".join([orjson.dumps(_HEAD | record.line(), option=_ORJSON) for record in records])
+        stream = self._stream or sys.stderr
+        stream.write(text.decode() + "\n")
+        stream.flush()

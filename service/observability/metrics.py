@@ -1,21 +1,22 @@
-"""What Prometheus reads: how many, how long, how sure we are that models answer.
+"""Metrics of requests, made of their records.
 
-Requests are counted from their lines of the log, hundreds at a time: a request itself only keeps its line. Labels are
-templates of routes, codes of problems, and names and versions of models that are served; series of versions that are
-served no more are dropped, so that a registry that changes for years does not grow them. A process has its own metrics:
-replicas are summed by Prometheus.
+Records are counted hundreds at a time: one by one costs more. Labels are templates of routes, codes of problems, and
+names and versions of models that are served. Series of versions that are no longer served are dropped, so that years of
+promotions do not grow them. Each process has its own metrics, and Prometheus sums replicas.
 """
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from threading import Lock
-from typing import Any, Final
+from typing import Final
 
 from prometheus_client.metrics_core import Metric
 from prometheus_client.registry import Collector
 
-from service.observability.prometheus import Distribution, _counter, _histogram
+from service.observability.prometheus import Distribution, counter, histogram
+from service.observability.records import RequestRecord
+from service.observability.timings import Phase
 
 # A single push takes 0.1 ms, ten thousand of them with images take seconds.
 SECONDS: Final = (
@@ -25,93 +26,90 @@ SECONDS: Final = (
 INFERENCE_SECONDS: Final = (0.00001, 0.000025, 0.00005, *SECONDS[:-3])
 ROWS: Final = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0, 4096.0, 10_000.0)
 _TOGETHER: Final = 512
-Line = Mapping[str, Any]
 MODEL_LABELS: Final = ("route", "model", "version")
+_Key = tuple[str, str, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
-    """What one route answered by one version; neither for answers that no model gave."""
+class Series:
+    """Requests of one route that one version answered; name and version are empty for answers without a model."""
 
     duration_s: Distribution = field(default_factory=lambda: Distribution(SECONDS))
     inference_s: Distribution = field(default_factory=lambda: Distribution(INFERENCE_SECONDS))
     rows: Distribution = field(default_factory=lambda: Distribution(ROWS))
     statuses: Counter[int] = field(default_factory=Counter)
 
-    def add(self, lines: Sequence[Line]) -> None:
+    def add(self, records: Sequence[RequestRecord]) -> None:
         """Count requests."""
-        self.duration_s.add(_seconds(lines, "duration_ms"))
-        self.inference_s.add(_seconds(lines, "inference_ms"))
-        self.rows.add([line["pushes"] for line in lines if "pushes" in line])
-        self.statuses.update([line["status"] for line in lines])
+        self.duration_s.add([record.duration_s for record in records])
+        self.inference_s.add(_seconds(records, "inference"))
+        self.rows.add([record.pushes for record in records if record.model])
+        self.statuses.update([record.status for record in records])
 
 
 class RequestMetrics(Collector):
-    """Every request: its route, its model, its time and that of its parts, all from its line of the log.
-
-    Lines are kept, as the log keeps them until it writes, and counted many at a time: one by one costs more.
-    """
+    """Counts and durations of requests by route, model and phase."""
 
     def __init__(self, is_served: Callable[[str, int], bool]) -> None:
         self._is_served = is_served
-        self._series: dict[tuple[str, str, int], Served] = defaultdict(Served)
+        self._series: dict[_Key, Series] = defaultdict(Series)
         self._statuses: Counter[tuple[str, int]] = Counter()  # of series that were dropped: a counter never falls
-        self._waits = {"queue_ms": Distribution(SECONDS), "decode_ms": Distribution(SECONDS)}
-        self._lines: list[Line] = []
+        self._phases: Mapping[Phase, Distribution] = {"queue": Distribution(SECONDS), "decode": Distribution(SECONDS)}
+        self._records: list[RequestRecord] = []
         self._counting = Lock()
         self._refusals: Counter[str] = Counter()
 
-    def note(self, line: Line) -> None:
-        """Count a request by its line of the log."""
-        self._lines.append(line)
-        if len(self._lines) >= _TOGETHER:
+    def note(self, record: RequestRecord) -> None:
+        """Take the record of a finished request."""
+        self._records.append(record)
+        if len(self._records) >= _TOGETHER:
             self._count()
 
     def refuse(self, reason: str) -> None:
-        """Count what was refused before it was a request, and leaves no line."""
+        """Count a refusal that happened before there was a request, and so has no record."""
         with self._counting:
             self._refusals[reason] += 1
 
     def collect(self) -> Iterator[Metric]:
-        """The families, as they are now."""
+        """Return the families, as they are now."""
         self._count()
         series = [((route, model, str(version or "")), found) for (route, model, version), found in self._items()]
         statuses = Counter(self._statuses)
         for (route, *_), found in series:
             statuses.update({(route, status): count for status, count in found.statuses.items()})
-        yield _counter(
+        yield counter(
             "cazsl_requests",
             "Requests by route and HTTP status; 0: the client left before the answer.",
             ("route", "status"),
             (((route, str(status)), count) for (route, status), count in statuses.items()),
         )
-        yield _histogram(
+        yield histogram(
             "cazsl_request_duration_seconds",
             "From the head of a request to the end of its answer; the body it waits for included.",
             MODEL_LABELS,
             ((labels, found.duration_s) for labels, found in series),
         )
         by_model = [(labels, found) for labels, found in series if labels[1]]
-        yield _histogram(
+        yield histogram(
             "cazsl_inference_duration_seconds",
             "In the runtime, all rows of a request at once.",
             MODEL_LABELS,
             ((labels, found.inference_s) for labels, found in by_model),
         )
-        yield _histogram(
+        yield histogram(
             "cazsl_request_rows",
             "Pushes per answered request.",
             MODEL_LABELS,
             ((labels, found.rows) for labels, found in by_model),
         )
-        yield _histogram(
+        yield histogram(
             "cazsl_queue_wait_seconds",
             "How long large batches and images waited for threads, by request.",
             (),
-            [((), self._waits["queue_ms"])],
+            [((), self._phases["queue"])],
         )
-        yield _histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._waits["decode_ms"])])
-        yield _counter(
+        yield histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._phases["decode"])])
+        yield counter(
             "cazsl_refusals",
             "Requests answered by a problem, by its code.",
             ("reason",),
@@ -119,21 +117,21 @@ class RequestMetrics(Collector):
         )
 
     def _count(self) -> None:
-        with self._counting:  # from the event loop, or the thread of somebody who reads
-            lines = self._lines[:]
-            del self._lines[: len(lines)]
-            self._refusals.update([line["code"] for line in lines if "code" in line])
-            for name, wait in self._waits.items():
-                wait.add(_seconds(lines, name))
-            groups: dict[tuple[str, str, int], list[Line]] = defaultdict(list)
-            for line in lines:
-                groups[line["route"], line.get("model", ""), line.get("version", 0)].append(line)
+        with self._counting:  # called from the event loop, and from the thread of a scrape
+            records = self._records[:]
+            del self._records[: len(records)]
+            self._refusals.update([record.code for record in records if record.code])
+            for phase, distribution in self._phases.items():
+                distribution.add(_seconds(records, phase))
+            groups: dict[_Key, list[RequestRecord]] = defaultdict(list)
+            for record in records:
+                groups[record.route, record.model, record.version].append(record)
             for key, group in groups.items():
                 self._series[key].add(group)
-            self._drop_released()  # whether or not anybody ever reads
+            self._drop_released()  # whether or not Prometheus ever reads
 
-    def _items(self) -> list[tuple[tuple[str, str, int], Served]]:
-        return list(self._series.items())  # in one go: whoever reads may do so in a thread
+    def _items(self) -> list[tuple[_Key, Series]]:
+        return list(self._series.items())  # a copy in one go: a scrape reads it in a thread
 
     def _drop_released(self) -> None:
         for (route, model, version), found in self._items():
@@ -142,5 +140,7 @@ class RequestMetrics(Collector):
                 self._statuses.update({(route, status): count for status, count in found.statuses.items()})
 
 
-def _seconds(lines: Sequence[Line], name: str) -> list[float]:
-    return [line[name] / 1000.0 for line in lines if name in line]
+def _seconds(records: Sequence[RequestRecord], phase: Phase) -> list[float]:
+    """Return the seconds that a phase took in each request that had it."""
+    found = ([seconds for name, seconds in record.timings if name == phase] for record in records)
+    return [sum(seconds) for seconds in found if seconds]

@@ -1,4 +1,4 @@
-"""Prometheus: histograms, gauges and counters, and the text that it reads."""
+"""Prometheus: families of gauges, counters and histograms, and the text of a scrape."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class Distribution:
-    """Counts of values by bound, and their sum: what a histogram of Prometheus is made of."""
+    """A histogram of Prometheus: counts of values by upper bound, and their sum."""
 
     __slots__ = ("_bounds", "_counts", "_total")
 
@@ -31,18 +31,18 @@ class Distribution:
 
     @property
     def total(self) -> float:
-        """The sum of what was added."""
+        """Return the sum of the values."""
         return self._total
 
     def buckets(self) -> list[tuple[str, float]]:
-        """Upper bounds and how many of what was added were no greater, as Prometheus has them."""
+        """Return upper bounds, and for each the number of values that are no greater."""
         names = (*map(repr, self._bounds), "+Inf")
         return list(zip(names, self._counts.cumsum().astype(float).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A number that somebody else keeps, read when Prometheus asks: a gauge, or a counter."""
+    """A gauge or a counter that is read from its owner at every scrape."""
 
     name: str
     meaning: str
@@ -52,20 +52,20 @@ class Reading:
 
 
 class Readings(Collector):
-    """Numbers that others keep."""
+    """The readings of other objects as a collector."""
 
     def __init__(self, readings: Sequence[Reading]) -> None:
         self._readings = readings
 
     def collect(self) -> Iterator[Metric]:
-        """The families, as they are now."""
+        """Return the families, as they are now."""
         for reading in self._readings:
-            family = _counter if reading.counts else _gauge
+            family = counter if reading.counts else gauge
             yield family(reading.name, reading.meaning, reading.labels, reading.read())
 
 
 def exposition(*collectors: Collector) -> CollectorRegistry:
-    """What is scraped: these collectors, and memory, processor time and files of the process."""
+    """Register these collectors, and memory, processor time and open files of the process."""
     registry = CollectorRegistry(auto_describe=False)
     for collector in collectors:
         registry.register(collector)
@@ -74,31 +74,34 @@ def exposition(*collectors: Collector) -> CollectorRegistry:
 
 
 def render(registry: CollectorRegistry) -> bytes:
-    """The text that Prometheus reads, in ``CONTENT_TYPE``."""
+    """Return the text of a scrape, of type ``CONTENT_TYPE``."""
     return generate_latest(registry)
 
 
-def _gauge(
+def gauge(
     name: str, meaning: str, labels: Sequence[str], rows: Iterable[tuple[tuple[str, ...], float]]
 ) -> GaugeMetricFamily:
+    """Return a family of gauges, one per row of label values."""
     family = GaugeMetricFamily(name, meaning, labels=labels)
     for values, number in rows:
         family.add_metric(values, number)
     return family
 
 
-def _counter(
+def counter(
     name: str, meaning: str, labels: Sequence[str], rows: Iterable[tuple[tuple[str, ...], float]]
 ) -> CounterMetricFamily:
+    """Return a family of counters, one per row of label values."""
     family = CounterMetricFamily(name, meaning, labels=labels)
     for values, number in rows:
         family.add_metric(values, number)
     return family
 
 
-def _histogram(
+def histogram(
     name: str, meaning: str, labels: Sequence[str], rows: Iterable[tuple[tuple[str, ...], Distribution]]
 ) -> HistogramMetricFamily:
+    """Return a family of histograms, one per row of label values."""
     family = HistogramMetricFamily(name, meaning, labels=labels)
     for values, found in rows:
         family.add_metric(values, found.buckets(), found.total)

@@ -1,7 +1,7 @@
-"""How long the parts of a request took, told by the rooms that do the work to whoever serves the request.
+"""Timings of the phases of a request, recorded where the work is done.
 
-A request's parts travel in a context variable, into the threads that work for it too. Outside of a request, in a
-command or a test, nobody listens and nothing is kept.
+The list of timings travels in a context variable, also into the threads that work for the request. Outside of a request,
+as in a command or a test, no list is set and the timings are dropped.
 """
 
 import time
@@ -10,28 +10,28 @@ from contextlib import contextmanager
 from contextvars import ContextVar, Token
 from typing import Final, Literal
 
-Part = Literal["queue", "decode", "inference"]
-Parts = list[tuple[Part, float]]
-_PARTS: Final[ContextVar[Parts | None]] = ContextVar("parts", default=None)
+Phase = Literal["queue", "decode", "inference"]
+Timings = list[tuple[Phase, float]]
+_TIMINGS: Final[ContextVar[Timings | None]] = ContextVar("timings", default=None)
 
 
-def listen(parts: Parts) -> Token[Parts | None]:
-    """From here on, in this task and the threads that work for it, (part, seconds) are added to this list."""
-    return _PARTS.set(parts)
+def collect_timings(timings: Timings) -> Token[Timings | None]:
+    """From here on, in this task and its threads, append each recorded (phase, seconds) to this list."""
+    return _TIMINGS.set(timings)
 
 
-def took(part: Part, seconds: float) -> None:
-    """Tell what a part took."""
-    parts = _PARTS.get()
-    if parts is not None:
-        parts.append((part, seconds))
+def record_timing(phase: Phase, seconds: float) -> None:
+    """Record the seconds that a phase took."""
+    timings = _TIMINGS.get()
+    if timings is not None:
+        timings.append((phase, seconds))
 
 
 @contextmanager
-def timed(part: Part) -> Iterator[None]:
-    """Tell what the block took, also when it fails."""
+def timed(phase: Phase) -> Iterator[None]:
+    """Record the time that the block takes, also when it fails."""
     began = time.perf_counter()
     try:
         yield
     finally:
-        took(part, time.perf_counter() - began)
+        record_timing(phase, time.perf_counter() - began)

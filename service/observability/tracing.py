@@ -1,7 +1,7 @@
-"""Spans for OpenTelemetry, where the operator asks for them (extra ``otel``): one per request, in its caller's trace.
+"""Spans for OpenTelemetry (extra ``otel``): one per request, in the trace of its caller.
 
-A span has the route's template, the status, the request's id and the model that answered; never a path, a body or a
-key. The only room that imports OpenTelemetry, and it is imported only when it is wanted.
+A span has the route's template, the status, the request's id and the model that answered, never a path, a body or a key.
+This is the only module that imports OpenTelemetry. It is imported only when the operator sets an endpoint.
 """
 
 from http import HTTPStatus
@@ -13,18 +13,18 @@ from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
 from opentelemetry.trace import SpanKind, Status, StatusCode
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
-from service.observability.telemetry import route_of
+from service.observability.records import record_of
 
 _TRACE_HEADERS: Final = frozenset((b"traceparent", b"tracestate"))
 
 
 def exporting(endpoint: str) -> TracerProvider:
-    """Spans to a collector's address (OTLP over HTTP), in batches, from a thread of its own.
+    """Create a provider that sends spans to a collector (OTLP over HTTP), in batches, from a thread of its own.
 
-    A collector that is gone costs spans, never requests.
+    If the collector is gone, spans are lost, and requests are answered as before.
     """
     provider = TracerProvider(
         resource=Resource.create({"service.name": "cazsl", "service.version": service.__version__})
@@ -48,28 +48,17 @@ class Tracing:
             await self._app(scope, receive, send)
             return
         carrier = {name.decode(): value.decode("latin-1") for name, value in scope["headers"] if name in _TRACE_HEADERS}
-        status = 0
-
-        async def send_and_look(message: Message) -> None:
-            """Send on, and note the status."""
-            nonlocal status
-            if message["type"] == "http.response.start":
-                status = message["status"]
-            await send(message)
-
         parent = self._propagator.extract(carrier)
         with self._tracer.start_as_current_span(scope["method"], parent, SpanKind.SERVER) as span:
-            await self._app(scope, receive, send_and_look)
-            state = scope["state"]
-            noted = state.get("log", {})
-            route = route_of(scope)
-            span.update_name(f"{scope['method']} {route}")
-            span.set_attributes({"http.request.method": scope["method"], "http.route": route})
-            span.set_attributes({"http.response.status_code": status, "cazsl.request_id": state["request_id"]})
-            span.set_attributes(
-                {f"cazsl.{name}": noted[name] for name in ("model", "version", "pushes") if name in noted}
-            )
-            if "refusal" in state:
-                span.set_attribute("error.type", state["refusal"])
-            if status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+            await self._app(scope, receive, send)
+            record = record_of(scope)
+            span.update_name(f"{record.method} {record.route}")
+            span.set_attributes({"http.request.method": record.method, "http.route": record.route})
+            span.set_attributes({"http.response.status_code": record.status, "cazsl.request_id": record.request_id})
+            if record.model:
+                span.set_attributes({"cazsl.model": record.model, "cazsl.version": record.version})
+                span.set_attribute("cazsl.pushes", record.pushes)
+            if record.code:
+                span.set_attribute("error.type", record.code)
+            if record.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
                 span.set_status(Status(StatusCode.ERROR))

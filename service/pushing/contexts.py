@@ -16,7 +16,7 @@ from typing import Final, Self
 import numpy as np
 
 from service.errors import FieldFault, InvalidRequestError
-from service.model.tensors import ContextKind, FloatArray
+from service.model.tensors import ContextKind, FloatArray, IndexArray
 
 SIDES: Final = 4
 SHAPE_DIGITS: Final = "1234"  # concave, triangular, circular, rectangular
@@ -163,6 +163,36 @@ class VisualContext:
         """What the networks take, float32 [1, 32, 32] in [0, 1]."""
         grey = np.frombuffer(self.levels, dtype=np.uint8).astype(np.float32) / np.float32(255.0)
         return grey.reshape(1, VISUAL_SIZE, VISUAL_SIZE)
+
+
+def index_contexts(
+    contexts: int, pushes: int, given: Sequence[int] | IndexArray | None, fields: tuple[str, str]
+) -> IndexArray:
+    """Return the index of each push's context: as given, or 0 for one context, or one context per push.
+
+    Args:
+        contexts: number of contexts.
+        pushes: number of pushes.
+        given: (n,) the index of each push's context, from 0; None where it was left out.
+        fields: the fields of the request that hold the contexts and the index, for errors.
+
+    Raises:
+        InvalidRequestError: contexts and index do not fit the pushes.
+    """
+    where_contexts, where_index = fields
+    if given is None:
+        if contexts not in (1, pushes):
+            accepted = f"1, or {pushes}: one per push, or any number with context_index"
+            raise InvalidRequestError.at(where_contexts, f"{contexts} contexts", accepted)
+        return np.zeros(pushes, dtype=np.int64) if contexts == 1 else np.arange(pushes, dtype=np.int64)
+    if len(given) != pushes:
+        raise InvalidRequestError.at(where_index, f"{len(given)} values", f"{pushes} values: one per push")
+    index = np.asarray(given)  # of Python's integers where one is beyond int64
+    wrong = np.flatnonzero((index < 0) | (index >= contexts))
+    if len(wrong):
+        received = "an index beyond the contexts"
+        raise InvalidRequestError.at(f"{where_index}.{wrong[0]}", received, f"0 to {contexts - 1}")
+    return index.astype(np.int64)
 
 
 def _names_of_ones(bits: Sequence[float], names: str) -> str:

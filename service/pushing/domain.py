@@ -1,6 +1,7 @@
 """Planar pushing as the domain of a registry: tensors and gates of push models."""
 
 from collections.abc import Iterable
+from typing import Final
 
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
@@ -23,3 +24,6 @@ class PushDomain:
     def gates(self, model: LoadedModel) -> Iterable[Verdict]:
         """See ``Domain.gates``."""
         return physics_gates(model)
+
+
+PUSHING: Final = PushDomain()

@@ -1,25 +1,124 @@
-"""Promotion of a version: gates, comparison with the champion, alias move."""
+"""Promotion of a version: gates, comparison with the champion, alias move; and the way back.
+
+A version must pass the physics gates of its domain, and its held-out figures must not be worse than those of the
+version that the alias names now. Figures are those of the manifests. They count as compared only where both versions
+were measured on the same data and set-up.
+"""
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
+from service.errors import CazslError, UnknownModelError
+from service.model.domain import Domain, Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Calibration
-from service.pushing.gates import Verdict, _physics
+from service.model.predictor import PredictorFactory
+from service.model.reference import ModelReference
+from service.registry.loading import load_version
+from service.registry.registry import NOWHERE, Registry
+from service.storage.history import Event, History
 
 LEVELS: Final = (0.50, 0.90, 0.95)
 
 
-def judge(candidate: LoadedModel, champion: LoadedModel | None) -> list[Verdict]:
-    """Every gate's verdict on a version that was loaded, and so passed verification and self-check."""
-    return [*_physics(candidate), *([] if champion is None else _figures(candidate, champion))]
+@dataclass(frozen=True)
+class Promotion:
+    """The outcome of a promotion: the verdict of every gate, and the alias move unless a gate refused it."""
+
+    verdicts: tuple[Verdict, ...]
+    event: Event | None
+
+    @property
+    def refused(self) -> tuple[Verdict, ...]:
+        """Return the verdicts of the gates that the version did not pass."""
+        return tuple(verdict for verdict in self.verdicts if not verdict.passed)
+
+
+def promote(
+    registry: Registry,
+    load: PredictorFactory,
+    name: str,
+    version: int,
+    alias: str,
+    *,
+    reason: str | None = None,
+    expect: int | None = None,
+    force: bool = False,
+) -> Promotion:
+    """Run the gates on a version, then point an alias at it.
+
+    Args:
+        registry: of the model.
+        load: creates predictors.
+        name: of the model.
+        version: the candidate.
+        alias: the alias to move.
+        reason: kept in the history.
+        expect: the version that the alias must name at the instant of the move, ``NOWHERE`` for none. None: the version
+            that it named when the gates ran.
+        force: move although gates refuse. The history then keeps their figures.
+
+    Raises:
+        UnknownModelError: there is no such version.
+        BrokenModelError: the candidate does not pass verification or its self-check.
+        ConflictError: the alias does not name the expected version. It stays.
+        RegistryError: the storage refused.
+    """
+    registry.resolve(ModelReference(name, None, version))
+    current = registry.aliases(name).get(alias)
+    candidate = load_version(registry, load, name, version)
+    verdicts = tuple(judge(candidate, _champion(registry, load, name, current), registry.domain))
+    refused = Promotion(verdicts, None).refused
+    if refused and not force:
+        return Promotion(verdicts, None)
+    if refused:
+        reason = f"{reason} (forced past {', '.join(f'{v.gate} {v.figure:.3g} > {v.limit:.3g}' for v in refused)})"
+    seen = expect if expect is not None else (current or NOWHERE)
+    return Promotion(verdicts, registry.point_alias(name, alias, version, expect=seen, reason=reason))
+
+
+def roll_back(registry: Registry, name: str, alias: str, reason: str | None = None) -> Event:
+    """Point an alias back at the version that it named before. The version is verified; no gate runs.
+
+    Raises:
+        UnknownModelError: the alias named no other version that is still there.
+        ConflictError: the alias was moved in the meantime. It stays.
+        RegistryError: the version does not pass verification, or the storage refused.
+    """
+    state = registry.state(name)
+    current = state.aliases.get(alias)
+    before = _before(registry.history(name), alias, current, state.versions)
+    if current is None or before is None:
+        raise UnknownModelError(f"{name}@{alias} named no other version before that is still there")
+    why = f"rollback: {reason}" if reason else "rollback"
+    return registry.point_alias(name, alias, before, expect=current, reason=why)
+
+
+def judge(candidate: LoadedModel, champion: LoadedModel | None, domain: Domain) -> list[Verdict]:
+    """Return the verdict of every gate on a loaded version, which passed verification and self-check already."""
+    return [*domain.gates(candidate), *([] if champion is None else _figures(candidate, champion))]
+
+
+def _champion(registry: Registry, load: PredictorFactory, name: str, version: int | None) -> LoadedModel | None:
+    """Load the version to compare with. A version that does not load is no standard."""
+    try:
+        return None if version is None else load_version(registry, load, name, version)
+    except CazslError:
+        return None
+
+
+def _before(history: History, alias: str, current: int | None, versions: frozenset[int]) -> int | None:
+    """Return the last version that the alias named and that is neither the current one nor removed."""
+    named = [event.to for event in history.events if event.alias == alias and event.to is not None]
+    return next((version for version in reversed(named) if version != current and version in versions), None)
 
 
 def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]:
-    """Held-out likelihood and coverage, set-up by set-up of the champion."""
+    """Compare held-out likelihood and coverage, for each set-up of the champion."""
     ours, theirs = candidate.manifest, champion.manifest
-    same = ours.data.sha256 == theirs.data.sha256  # figures are named by the set-up that they were measured on
+    same = ours.data.sha256 == theirs.data.sha256  # a figure has the name of the set-up that it was measured on
     for set_up in sorted(theirs.metrics):
         if not same or set_up not in ours.metrics:
             meaning = f"{set_up}: measured on other data than version {theirs.version}, and so not comparable"
@@ -34,13 +133,13 @@ def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]
 
 
 def _coverage(set_up: str, ours: Calibration, theirs: Calibration, pushes: int) -> Verdict:
-    """How far the coverage is from its level, at the level where it is most beyond the champion's.
+    """Compare the distance of the coverage from its level, at the level where it is most beyond the champion's.
 
     Two standard errors of a share of that many pushes are allowed for chance.
     """
 
     def at(level: float, mine: float, other: float) -> tuple[float, float, float]:
-        """Figure, limit and level."""
+        """Return figure, limit and level."""
         chance = 2.0 * math.sqrt(level * (1.0 - level) / max(pushes, 1))
         return abs(mine - level), abs(other - level) + chance, level
 

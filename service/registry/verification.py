@@ -1,12 +1,13 @@
-"""What is checked of a version before anyone gets a byte of it: sizes, format, files, digests, signature.
+"""Verification of a version before anyone gets a byte of it: sizes, format, tensors, files, digests, signature.
 
-Each file is read once, and what was compared is what is handed over.
+Each file is read once, and the bytes that were compared are the bytes that are handed over.
 """
 
 from dataclasses import dataclass
 from typing import Final, Protocol
 
 from service.errors import BrokenModelError
+from service.model.domain import Domain
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
 from service.storage.base import Storage
 
@@ -17,7 +18,7 @@ MAX_CARD_BYTES: Final = 1 << 20
 
 @dataclass(frozen=True)
 class VerifiedVersion:
-    """A version whose bytes are those that its manifest vouches for."""
+    """A version whose bytes have the digests of its manifest."""
 
     manifest: Manifest
     model: bytes
@@ -27,44 +28,71 @@ class VerifiedVersion:
 
 
 class Signatures(Protocol):
-    """Whoever demands signatures; see ``service.registry.signing``."""
+    """A check of signatures; ``service.registry.signing.TrustedKeys`` is one."""
 
     def check(self, files: dict[str, bytes], signature: bytes | None) -> None:
         """Accept the bytes of a version.
 
         Raises:
-            BrokenModelError: nobody who is trusted signed them.
+            BrokenModelError: no trusted key signed them.
         """
         ...
 
 
-def verify(
-    storage: Storage, name: str, version: int, max_model_bytes: int, signatures: Signatures | None
-) -> VerifiedVersion:
+@dataclass(frozen=True)
+class Requirements:
+    """Requirements of a registry for its versions.
+
+    Attributes:
+        domain: whose tensors a version must declare.
+        signatures: the check of signatures; None where none is required.
+        max_model_bytes: largest model file that is read, in bytes.
+    """
+
+    domain: Domain
+    signatures: Signatures | None
+    max_model_bytes: int
+
+
+def verify(storage: Storage, name: str, version: int, required: Requirements) -> VerifiedVersion:
     """Read every file of a version and accept it.
 
     Raises:
-        BrokenModelError: names the file that is at fault, what was found and what was expected.
+        BrokenModelError: names the file at fault, the value found and the value expected.
     """
     content = storage.read(name, version, MANIFEST_FILE, MAX_MANIFEST_BYTES)
-    manifest = Manifest.parse(content)
+    manifest = parse_manifest(content, required.domain)
     if (manifest.name, manifest.version) != (name, version):
         raise BrokenModelError(f"{MANIFEST_FILE}: is of {manifest.name}@{manifest.version}, found as {name}@{version}")
     surplus = set(storage.files(name, version)) - set(manifest.files) - {MANIFEST_FILE}
     if surplus:
         raise BrokenModelError(f"{name}@{version}: {len(surplus)} files are not in the manifest")
     files = {MANIFEST_FILE: content}
-    for file, limit in ((MODEL_FILE, max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
+    for file, limit in ((MODEL_FILE, required.max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
         files[file] = storage.read(name, version, file, limit)
         _compare(file, files[file], manifest.files[file])
     signature = storage.signature(name, version)
-    if signatures is not None:
-        signatures.check(files, signature)
+    if required.signatures is not None:
+        required.signatures.check(files, signature)
     return VerifiedVersion(manifest, files[MODEL_FILE], files[CARD_FILE].decode("utf-8", "replace"), files, signature)
+
+
+def parse_manifest(content: bytes, domain: Domain) -> Manifest:
+    """Read a manifest and check that its tensors are those of the domain.
+
+    Raises:
+        BrokenModelError: it is not a manifest, or declares other tensors.
+    """
+    manifest = Manifest.parse(content)
+    if manifest.inputs != domain.inputs(manifest.context_kind):
+        raise BrokenModelError(f"{MANIFEST_FILE}: inputs: not the tensors of this context kind")
+    if manifest.outputs != domain.outputs():
+        raise BrokenModelError(f"{MANIFEST_FILE}: outputs: not the tensors of the contract")
+    return manifest
 
 
 def _compare(file: str, content: bytes, expected: FileDigest) -> None:
     found = FileDigest.of(content)
     if found != expected:
-        what = f"{found.size} of {expected.size} bytes" if found.size != expected.size else "the sha256 differs"
-        raise BrokenModelError(f"{file}: {what}: not the file that was published")
+        fault = f"{found.size} of {expected.size} bytes" if found.size != expected.size else "the sha256 differs"
+        raise BrokenModelError(f"{file}: {fault}: not the file that was published")

@@ -134,7 +134,7 @@ class ContextBody(Body):
         others = (self.indicator, self.visual, self.image)
         return self.descriptor if others == (None, None, None) else None
 
-    def to_contract(self, where: str = "body.context") -> ObjectContext | VisualContext:
+    def to_domain(self, where: str = "body.context") -> ObjectContext | VisualContext:
         """The object.
 
         Raises:

@@ -1,25 +1,25 @@
-"""What clients send: the bodies of predictions, to ``contract``. The one place where their JSON meets the domain.
+"""Bodies of prediction requests, and their conversion to arrays of the domain.
 
-Every field carries its unit, an example and what it means; the OpenAPI document is made of these. The columns of a
-batch stop at their first fault: a body with a million faults costs no more than one with one.
+Every field has its unit, an example and a description: the OpenAPI document is made of them. The columns of a batch stop
+at their first fault, so that a body with a million faults costs no more than a body with one.
 """
 
 from typing import Annotated, Final
 
 import numpy as np
-import orjson
 from pydantic import FailFast, Field
 from pydantic.config import JsonDict
 
-from service.errors import InvalidRequestError, MalformedBodyError
-from service.model.reference import ModelReference
+from service.errors import InvalidRequestError
+from service.model.reference import ALIAS_PATTERN, NAME_PATTERN, VERSION_PATTERN, ModelReference
 from service.model.tensors import IndexArray
+from service.pushing.contexts import index_contexts
 from service.pushing.poses import (
     REACH_M,
     WORLD_M,
     DoubleArray,
-    _reachable,
     into_object_frame,
+    reachable,
     unreachable,
     wrap_angle,
 )
@@ -65,9 +65,8 @@ class ObjectPoseBody(Body):
     ]
 
 
-# for the document only, like the bounds of rows below: our own words say what is wrong
-_PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
-_REFERENCE: Final[JsonDict] = {"pattern": f"^{_PART}(@([a-z][a-z0-9_-]{{0,63}}|[1-9][0-9]{{0,8}}))?$"}
+# For the document only, like the bounds of rows below: ``ModelReference`` has the better error messages.
+_REFERENCE: Final[JsonDict] = {"pattern": f"^{NAME_PATTERN}(@({ALIAS_PATTERN}|{VERSION_PATTERN}))?$"}
 Reference = Annotated[
     str | None,
     Field(
@@ -80,15 +79,15 @@ Reference = Annotated[
 
 
 class Prediction(Body):
-    """What every prediction may ask for."""
+    """The fields of every prediction request."""
 
     model: Reference = None
 
     def reference(self) -> ModelReference | None:
-        """The model that was asked for.
+        """Return the reference to the model, if one was sent.
 
         Raises:
-            InvalidRequestError: the text is no reference.
+            InvalidRequestError: the text is not a reference.
         """
         return None if self.model is None else ModelReference.parse(self.model, "body.model")
 
@@ -112,27 +111,27 @@ class PredictRequest(Prediction):
         ),
     ] = None
 
-    def objects(self) -> DoubleArray | None:
-        """Where the object is in the world, (1, 3), where that was said."""
+    def object_frames(self) -> DoubleArray | None:
+        """Return the object's pose in the world, (1, 3); None where it was not sent."""
         pose = self.object_pose
         return None if pose is None else np.array([[pose.x, pose.y, wrap_angle(pose.angle)]])
 
     def pusher_poses(self) -> DoubleArray:
-        """The pusher pose in the object frame, (1, 3), its angle wrapped.
+        """Return the pusher pose in the object frame, (1, 3), its angle wrapped.
 
         Raises:
             InvalidRequestError: it is out of reach.
         """
-        x, y, angle, objects = self.pusher.x, self.pusher.y, self.pusher.angle, self.objects()
-        if objects is None:
+        x, y, angle, frames = self.pusher.x, self.pusher.y, self.pusher.angle, self.object_frames()
+        if frames is None:
             if -REACH_M <= x <= REACH_M and -REACH_M <= y <= REACH_M:
                 return np.array([[x, y, wrap_angle(angle)]])
             name, value = ("x", x) if abs(x) > REACH_M else ("y", y)
             raise InvalidRequestError([unreachable(f"body.pusher.{name}", value)])
-        return _reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), objects), "body.pusher")
+        return reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), frames), "body.pusher")
 
 
-Place = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUSHES - 1})]
+ContextIndex = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUSHES - 1})]
 
 
 class BatchRequest(Prediction):
@@ -158,7 +157,7 @@ class BatchRequest(Prediction):
         ),
     ] = None
     context_index: Annotated[
-        list[Place] | None,
+        list[ContextIndex] | None,
         FailFast(),
         Field(
             min_length=1,
@@ -177,66 +176,40 @@ class BatchRequest(Prediction):
         ),
     ] = None
 
-    def objects(self) -> DoubleArray | None:
-        """Where the objects are in the world, (1, 3) or (n, 3), where that was said.
+    def object_frames(self) -> DoubleArray | None:
+        """Return the objects' poses in the world, (1, 3) or (n, 3); None where they were not sent.
 
         Raises:
-            InvalidRequestError: neither one nor one per push, or further away than the world goes.
+            InvalidRequestError: there is neither one nor one per push, or a coordinate is over ``WORLD_M``.
         """
         if self.object_poses is None:
             return None
         if len(self.object_poses) not in (1, len(self.pushers)):
             received, accepted = f"{len(self.object_poses)} poses", f"1, or {len(self.pushers)}: one per push"
             raise InvalidRequestError.at("body.object_poses", received, accepted)
-        return _reachable(self.object_poses, "body.object_poses", WORLD_M)
+        return reachable(self.object_poses, "body.object_poses", WORLD_M)
 
     def pusher_poses(self) -> DoubleArray:
-        """The pusher poses in the object frame, (n, 3), their angles wrapped.
+        """Return the pusher poses in the object frame, (n, 3), their angles wrapped.
 
         Raises:
             InvalidRequestError: one is out of reach.
         """
-        objects = self.objects()
-        if objects is None:
-            return _reachable(self.pushers, "body.pushers")
-        world = _reachable(self.pushers, "body.pushers", WORLD_M)
-        return _reachable(into_object_frame(world, objects), "body.pushers")
+        frames = self.object_frames()
+        if frames is None:
+            return reachable(self.pushers, "body.pushers")
+        world = reachable(self.pushers, "body.pushers", WORLD_M)
+        return reachable(into_object_frame(world, frames), "body.pushers")
 
-    def places(self) -> IndexArray:
-        """For each push the place of its context, (n,).
+    def context_indices(self) -> IndexArray | None:
+        """Return the index of each push's context, (n,); None where neither contexts nor an index were sent.
 
         Raises:
             InvalidRequestError: contexts and index do not fit the pushes.
         """
-        count, contexts = len(self.pushers), len(self.contexts or ())
-        if not contexts:
-            raise InvalidRequestError.at("body.contexts", "nothing", "contexts for context_index")
-        if self.context_index is None:
-            if contexts == 1:
-                return np.zeros(count, dtype=np.int64)
-            if contexts == count:
-                return np.arange(count, dtype=np.int64)
-            accepted = f"1, or {count}: one per push, or any number with context_index"
-            raise InvalidRequestError.at("body.contexts", f"{contexts} contexts", accepted)
-        if len(self.context_index) != count:
-            received = f"{len(self.context_index)} values"
-            raise InvalidRequestError.at("body.context_index", received, f"{count} values: one per push")
-        wrong = next((row for row, place in enumerate(self.context_index) if not 0 <= place < contexts), None)
-        if wrong is not None:
-            received, accepted = "a place that contexts does not have", f"0 to {contexts - 1}"
-            raise InvalidRequestError.at(f"body.context_index.{wrong}", received, accepted)
-        return np.array(self.context_index, dtype=np.int64)
-
-
-def read_batch(content: bytes) -> BatchRequest:
-    """A batch from its JSON, by the faster of two readers; what it does not take, the documented way explains.
-
-    Raises:
-        MalformedBodyError: it is no JSON, or a number in it is too large.
-        ValidationError: it is JSON of another form.
-    """
-    try:
-        document = orjson.loads(content)
-    except orjson.JSONDecodeError as error:
-        raise MalformedBodyError(f"body: received no JSON ({error}); accepted is JSON in UTF-8") from error
-    return BatchRequest.model_validate(document)
+        if self.contexts is None and self.context_index is None:
+            return None
+        if not self.contexts:
+            raise InvalidRequestError.at("body.contexts", "no contexts", "contexts for context_index")
+        fields = ("body.contexts", "body.context_index")
+        return index_contexts(len(self.contexts), len(self.pushers), self.context_index, fields)

@@ -1,7 +1,7 @@
-"""What comes in, before anyone works on it: whole bodies only, of bounded size and in bounded time, so many at once.
+"""Admission: whole bodies only, of bounded size and in bounded time, and a bounded number of requests at once.
 
-Everything behind this ring gets its body in one piece. A slow client holds up nobody: it is counted as a request in
-flight only once its body is here. What is too much is refused at once, so that the caller can go elsewhere.
+Everything behind this ring gets its body in one piece. A slow client delays no other: its request counts as in flight
+only once its body is whole. A request over a limit is refused at once, so that the caller can go elsewhere.
 """
 
 import asyncio
@@ -11,13 +11,21 @@ from dataclasses import dataclass
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import BodyTooLargeError, CazslError, OverloadedError, SlowBodyError, TooManyRequestsError
-from service.transport.keys import authorization_of
+from service.transport.endpoints import header
 from service.transport.problems import problem_response
 
 
 @dataclass(frozen=True)
-class IntakeLimits:
-    """What a request may bring, and how much may be held at once."""
+class AdmissionLimits:
+    """Limits of one body, and of all requests at once.
+
+    Attributes:
+        body_bytes: largest body.
+        body_s: longest time until a body is whole, in s.
+        in_flight: most requests answered at once.
+        in_flight_per_caller: the same per caller; 0 for no limit.
+        held_bytes: most bytes of bodies held at once.
+    """
 
     body_bytes: int
     body_s: float
@@ -27,7 +35,7 @@ class IntakeLimits:
 
 
 class WholeBody:
-    """A ``receive`` that gives a body that was read already, then what follows it."""
+    """A ``receive`` that gives a body that was read already, then the messages that follow it."""
 
     __slots__ = ("_content", "_receive")
 
@@ -36,17 +44,17 @@ class WholeBody:
         self._receive = receive
 
     async def __call__(self) -> Message:
-        """The body, once."""
+        """Return the body, once."""
         if self._content is None:
             return await self._receive()
         content, self._content = self._content, None
         return {"type": "http.request", "body": content, "more_body": False}
 
 
-class Patience:
-    """Bounds how long tasks read: one timer looks at all of them, since a timer each costs more than reading does.
+class BodyDeadline:
+    """The deadline of all tasks that read a body. One timer serves all, since a timer each costs more than reading.
 
-    A body that is late is ended within a quarter of the limit, or a second, after it.
+    A late body is refused within a quarter of the limit, or a second, after the deadline.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -58,7 +66,7 @@ class Patience:
     def __enter__(self) -> None:
         loop, task = asyncio.get_running_loop(), asyncio.current_task()
         if task is None:
-            raise RuntimeError("a body is read outside of a task")
+            raise RuntimeError("a body must be read in a task")
         self._reading[task] = loop.time()
         if not self._armed:
             self._arm(loop)
@@ -75,9 +83,9 @@ class Patience:
 
     def _arm(self, loop: asyncio.AbstractEventLoop) -> None:
         self._armed = True
-        loop.call_later(min(1.0, self._limit_s / 4.0), self._look, loop)
+        loop.call_later(min(1.0, self._limit_s / 4.0), self._cancel_late, loop)
 
-    def _look(self, loop: asyncio.AbstractEventLoop) -> None:
+    def _cancel_late(self, loop: asyncio.AbstractEventLoop) -> None:
         self._armed = False
         latest = loop.time() - self._limit_s
         for task in [task for task, began in self._reading.items() if began < latest and task not in self._late]:
@@ -87,13 +95,13 @@ class Patience:
             self._arm(loop)
 
 
-class Intake:
-    """Reads the body of every request, within the limits, and counts who is being answered."""
+class Admission:
+    """The ring that reads the body of every request within the limits, and counts the requests in flight."""
 
-    def __init__(self, app: ASGIApp, limits: IntakeLimits) -> None:
+    def __init__(self, app: ASGIApp, limits: AdmissionLimits) -> None:
         self._app = app
         self._limits = limits
-        self._patience = Patience(limits.body_s)
+        self._deadline = BodyDeadline(limits.body_s)
         self.in_flight = 0
         self.held_bytes = 0
         self._callers: Counter[object] = Counter()
@@ -108,47 +116,48 @@ class Intake:
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
             return
-        if content is None:  # the client has gone
+        if content is None:  # the client has left
             return
         try:
-            caller = self._admit(scope)
+            caller = self._enter(scope)
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
         else:
-            self.in_flight += 1
             try:
                 await self._app(scope, WholeBody(content, receive), send)
             finally:
-                self.in_flight -= 1
                 self._leave(caller)
         finally:
             self.held_bytes -= len(content)
 
-    def refusal(self, scope: Scope) -> CazslError | None:
-        """Why a request cannot be answered now, if it cannot."""
+    def check(self, scope: Scope) -> None:
+        """Admit a request that is answered at once, and so never counts as in flight.
+
+        Raises:
+            OverloadedError, TooManyRequestsError: there are too many others.
+        """
         limits = self._limits
         if self.in_flight >= limits.in_flight:
-            return OverloadedError(f"{limits.in_flight} requests in flight")
+            raise OverloadedError(f"{limits.in_flight} requests in flight")
         if limits.in_flight_per_caller and self._callers[self._caller(scope)] >= limits.in_flight_per_caller:
-            return TooManyRequestsError(limits.in_flight_per_caller)
-        return None
+            raise TooManyRequestsError(limits.in_flight_per_caller)
 
     def _caller(self, scope: Scope) -> object:
-        """Who asks, as far as that is counted."""
+        """Return the key of the caller, or its address; None where callers are not counted."""
         if not self._limits.in_flight_per_caller:
             return None
-        return authorization_of(scope["headers"]) or (scope["client"] or ("",))[0]
+        return header(scope["headers"], b"authorization") or (scope["client"] or ("",))[0]
 
-    def _admit(self, scope: Scope) -> object:
-        refusal = self.refusal(scope)
-        if refusal is not None:
-            raise refusal
+    def _enter(self, scope: Scope) -> object:
+        self.check(scope)
         caller = self._caller(scope)
         if caller is not None:
             self._callers[caller] += 1
+        self.in_flight += 1
         return caller
 
     def _leave(self, caller: object) -> None:
+        self.in_flight -= 1
         if caller is None:
             return
         self._callers[caller] -= 1
@@ -156,17 +165,17 @@ class Intake:
             del self._callers[caller]
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
-        """The whole body, counted among what is held; None when the client went away.
+        """Return the whole body, counted among the held bytes; None when the client left.
 
         Raises:
-            BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit; none of it is held any more.
+            BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit. None of it is held any more.
         """
         limits = self._limits
         if declared_length(scope) > limits.body_bytes:
             raise BodyTooLargeError(limits.body_bytes)
         parts: list[bytes] = []
         size, more = 0, True
-        with self._patience:
+        with self._deadline:
             try:
                 while more:
                     message = await receive()
@@ -180,7 +189,7 @@ class Intake:
                     if size > limits.body_bytes:
                         raise BodyTooLargeError(limits.body_bytes)
                     if self.held_bytes > limits.held_bytes:
-                        raise OverloadedError("as many bytes of requests as it may hold")
+                        raise OverloadedError(f"{limits.held_bytes} buffered bytes of request bodies")
             except BaseException:
                 self.held_bytes -= size
                 raise
@@ -188,8 +197,6 @@ class Intake:
 
 
 def declared_length(scope: Scope) -> int:
-    """How many bytes a body says that it has; 0 when it does not say."""
-    for name, value in scope["headers"]:
-        if name == b"content-length" and value.isdigit():
-            return int(value[:18])
-    return 0
+    """Return the declared length of the body in bytes; 0 where none is declared."""
+    length = header(scope["headers"], b"content-length")
+    return int(length[:18]) if length is not None and length.isdigit() else 0

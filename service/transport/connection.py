@@ -1,13 +1,11 @@
-"""A connection of uvicorn's, bounded where uvicorn is patient: the head of a request, in time and in bytes.
+"""Connections of uvicorn with bounds where uvicorn has none, and with the shortcut for single pushes.
 
-Without these bounds a client holds a connection for ever by sending its headers slowly, or memory by sending them
-without end. What cannot be read as HTTP is answered as a problem, like every other failure.
+``BoundedConnection`` bounds the head of a request and answers bytes that are not HTTP with a problem. ``ShortcutConnection``
+adds the shortcut: a plain single push is answered without ASGI. If anything on the connection is unusual, the request is
+passed to uvicorn unchanged, until its body is whole.
 
 Head and body of an answer leave in one write. Between two, a ``kill -9`` would leave a client, or a proxy that could
 still have asked another instance, with half an answer.
-
-A plain request for one push takes the short way, unless something on the connection is unusual. Until its body is whole
-it may still be handed over to the long way, as uvicorn goes it, as if it had just come.
 """
 
 import asyncio
@@ -16,19 +14,19 @@ from http import HTTPStatus
 from typing import Any, Final, cast
 
 from starlette.types import Scope
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import STATUS_LINE, HttpToolsProtocol
 
-from service.transport.fast_path import Headers
+from service.transport.endpoints import Headers
+from service.transport.fast_path import Shortcut, ShortcutRequest
+from service.transport.head_clock import MAX_HEAD_BYTES, HeadClock
 from service.transport.problems import MEDIA_TYPE, problem_body
-from service.transport.short_way import ShortRequest, ShortWay
 
-LEAVE: Final = (b"connection", b"close")  # among the headers of every answer, once the service is to end
-MAX_HEAD_BYTES: Final = 64 * 1024
-LINGER_S: Final = 0.25  # a request that was sent before its client saw the end is here by then
+CLOSE: Final = (b"connection", b"close")  # among the headers of every answer once the service is to end
+LINGER_S: Final = 0.25  # a request that was sent before its client saw the end has arrived by then
 
 
 class PairedWrites:
-    """A transport that holds what is written until it can leave with what is written next, or nothing is."""
+    """A transport that joins two successive writes: it holds the first until the second, or the end of the iteration."""
 
     def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._transport = transport
@@ -39,7 +37,7 @@ class PairedWrites:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Send with what is held, or hold until whoever writes now has written."""
+        """Send together with the held bytes, or hold until the next write."""
         if self._held:
             held, self._held = self._held, b""
             self._transport.writelines((held, data))
@@ -48,12 +46,12 @@ class PairedWrites:
             self._loop.call_soon(self._send_held)
 
     def write_whole(self, data: bytes) -> None:
-        """Send a whole answer, after what is held."""
+        """Send a whole answer, after the held bytes."""
         self._send_held()
         self._transport.write(data)
 
     def close(self) -> None:
-        """Send what is held, and close."""
+        """Send the held bytes, and close."""
         self._send_held()
         self._transport.close()
 
@@ -64,165 +62,78 @@ class PairedWrites:
 
 
 class BoundedConnection(HttpToolsProtocol):
-    """HTTP/1.1 whose heads arrive in time and are of bounded size."""
+    """An HTTP/1.1 connection whose heads arrive in time and are of bounded size."""
 
     head_s = 10.0
     refused: Callable[[str], None] = staticmethod(lambda code: None)
-    short_way: ShortWay | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        """Begin to look at the clock."""
+        """Start the clock."""
         self._writes = PairedWrites(transport, self.loop)
         super().connection_made(cast(asyncio.Transport, self._writes))
-        self._short: ShortRequest | None = None  # whose body is not whole yet
-        self._asked = False  # a short request has no answer yet
-        self._in_line = True  # the client waits for an answer before it asks again, and the service is not to end
-        self._head_bytes = 0
-        self._waits_since: float | None = self.loop.time()  # for the end of a head; None while a request is answered
-        self._look_later(self.head_s)
+        self._clock = HeadClock(self.loop, self.head_s, self._on_late)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop looking: the clock would hold the connection in memory for as long as a head may take."""
-        self._looking.cancel()
-        self._hand_over()  # which tells the log that somebody has left
+        """End the clock."""
+        self._clock.close()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Read, and count what is read of a head."""
+        """Read, and count the bytes of a head."""
         super().data_received(data)
-        if self._waits_since is None or self._short is not None:
-            return
-        self._head_bytes += len(data)
-        if self._head_bytes > MAX_HEAD_BYTES:
+        if self._awaits_head() and self._clock.add(len(data)):
             self._refuse(
                 HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
                 "head_too_large",
-                f"head: received more than {MAX_HEAD_BYTES} bytes of request line and headers; accepted is less",
+                f"head: received more than {MAX_HEAD_BYTES} bytes of request line and headers; "
+                f"accepted is up to {MAX_HEAD_BYTES} bytes",
             )
 
     def on_message_begin(self) -> None:
-        """A head begins."""
-        if self._asked and self.short_way is not None:
-            self._in_line = False  # it could hold the loop with as many as it sends in one go
-            self.short_way.end_turn()
+        """Begin a head."""
         super().on_message_begin()
-        self._head_bytes = 0
-        if self._waits_since is None:
-            self._waits_since = self.loop.time()
+        self._clock.begin()
 
     def on_headers_complete(self) -> None:
-        """The head is whole."""
-        self._short = self._open_short()
-        if self._short is None:
-            self._waits_since = None
-            super().on_headers_complete()
+        """Pause the clock: the head is whole."""
+        self._clock.pause()
+        super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """A part of a body."""
-        if self._short is not None:
-            self._short.body += body
-            return
-        cycle: Any = self.cycle  # which would copy each piece twice
+        """Take a part of a body, without the two copies that uvicorn makes of each."""
+        cycle: Any = self.cycle
         if not cycle.body:
-            cycle.body = b""  # which and a piece are that piece
+            cycle.body = b""  # which and a part are that part
         elif isinstance(cycle.body, bytes):
-            cycle.body = bytearray(cycle.body)  # to which many pieces can be added
+            cycle.body = bytearray(cycle.body)  # to which many parts can be added
         super().on_body(body)
-
-    def on_message_complete(self) -> None:
-        """The request is whole."""
-        request, self._short = self._short, None
-        if request is None or self.short_way is None:
-            super().on_message_complete()
-            return
-        self._waits_since = None
-        self._asked = True
-        self.short_way.answer(request, self._reply, lambda: self._leave(bytes(request.body)))
-
-    def _open_short(self) -> ShortRequest | None:
-        """The request whose head has come, where nothing on this connection is unusual."""
-        parser = self.parser
-        if (
-            self.short_way is None
-            or not self._in_line
-            or parser.get_method() != b"POST"
-            or parser.get_http_version() != "1.1"
-            or not parser.should_keep_alive()
-            or parser.should_upgrade()
-            or self.expect_100_continue
-            or self.flow.write_paused
-            or not (self.cycle is None or self.cycle.response_complete)
-            or LEAVE in self.server_state.default_headers
-        ):
-            return None
-        self.scope["method"] = "POST"
-        return self.short_way.open(self.url, cast(Scope, self.scope))
-
-    def _reply(self, headers: Headers, content: bytes) -> None:
-        """Write the answer of a short request, as uvicorn writes others."""
-        self._asked = False
-        if not self.transport.is_closing():
-            lines = [b"%b: %b\r\n" % header for header in (*self.server_state.default_headers, *headers)]
-            self._writes.write_whole(b"".join((b"HTTP/1.1 200 OK\r\n", *lines, b"\r\n", content)))
-        self.on_response_complete()
-
-    def _hand_over(self) -> None:
-        """Let a request whose body is not whole yet take the long way."""
-        request, self._short = self._short, None
-        if request is None:
-            return
-        self._waits_since = None
-        super().on_headers_complete()
-        super().on_body(bytes(request.body))
-
-    def _leave(self, body: bytes) -> None:
-        """Let a whole request take the long way."""
-        self._asked = False
-        if self not in self.connections:  # the client has gone
-            return
-        super().on_headers_complete()
-        super().on_body(body)
-        super().on_message_complete()
 
     def on_response_complete(self) -> None:
-        """The next head is waited for; until its first byte uvicorn's own keep-alive bounds that."""
-        self._head_bytes = 0
-        self._waits_since = self.loop.time()
+        """Await the next head. Until its first byte, uvicorn's own keep-alive bounds the connection."""
+        self._clock.restart()
         super().on_response_complete()
 
     def shutdown(self) -> None:
-        """The doors are closed; what is on its way on an open connection is still answered, as the last on it."""
-        self._in_line = False
-        self._hand_over()
+        """Answer the request that is on its way on an open connection, as the last on it."""
         if self.cycle is None or self.cycle.response_complete:
             self.loop.call_later(LINGER_S, super().shutdown)
         else:
             super().shutdown()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer what is no HTTP."""
-        self._refuse(HTTPStatus.BAD_REQUEST, "malformed_request", "received what is no HTTP/1.1; accepted is that")
+        """Answer bytes that are not HTTP."""
+        self._refuse(HTTPStatus.BAD_REQUEST, "malformed_request", "the request is not valid HTTP/1.1")
 
-    def _look(self) -> None:
-        """End the connection when its head is late; look again later otherwise."""
-        if self.transport.is_closing():
-            return
-        left = self.head_s if self._waits_since is None else self._waits_since + self.head_s - self.loop.time()
-        if left > 0.0:
-            self._look_later(left)
-            return
-        if self._short is not None:  # its body is late, which the long way bounds
-            self._hand_over()
-            self._look_later(self.head_s)
-            return
-        detail = f"head: received a part of it in {self.head_s:g} s; accepted is all of it in {self.head_s:g} s"
+    def _awaits_head(self) -> bool:
+        return True
+
+    def _on_late(self) -> None:
+        """End the connection: its head is late."""
+        detail = f"head: received only a part within {self.head_s:g} s; accepted is a head within {self.head_s:g} s"
         self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)
 
-    def _look_later(self, left_s: float) -> None:
-        self._looking = self.loop.call_later(left_s + 0.01, self._look)
-
     def _refuse(self, status: HTTPStatus, code: str, detail: str) -> None:
-        """Write a problem and close: there is no request yet that an application could answer."""
+        """Write a problem and close. There is no request yet that the application could answer."""
         if self.transport.is_closing():
             return
         self.refused(code)
@@ -235,10 +146,126 @@ class BoundedConnection(HttpToolsProtocol):
         self.transport.close()
 
 
-def bounded_connection(head_s: float, refused: Callable[[str], None], short_way: ShortWay | None = None) -> type[Any]:
-    """The class of connections whose heads may take so long, and who is told of refusals; uvicorn makes them itself.
+class ShortcutConnection(BoundedConnection):
+    """A bounded connection whose plain single pushes are answered by the shortcut.
 
-    ``short_way`` answers plain requests for single pushes, where there is one.
+    A request is with the shortcut in two states: ``_opened`` while its body arrives, ``_submitted`` until its answer.
     """
-    own = {"head_s": head_s, "refused": staticmethod(refused), "short_way": short_way}
-    return type("Connection", (BoundedConnection,), own)
+
+    shortcut: Shortcut
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Begin without a request."""
+        self._opened: ShortcutRequest | None = None
+        self._submitted = False
+        self._in_turn = True  # the client awaits each answer before its next request, and the service is not to end
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Pass an unfinished request to uvicorn, which logs that its client left."""
+        self._hand_over()
+        super().connection_lost(exc)
+
+    def on_message_begin(self) -> None:
+        """Begin a head. A client that does not await answers loses the shortcut: it could hold the event loop."""
+        if self._submitted:
+            self._in_turn = False
+            self.shortcut.flush()
+        super().on_message_begin()
+
+    def on_headers_complete(self) -> None:
+        """Open the request at the shortcut, or go on as uvicorn does."""
+        self._opened = self._open()
+        if self._opened is None:
+            super().on_headers_complete()
+
+    def on_body(self, body: bytes) -> None:
+        """Take a part of a body."""
+        if self._opened is None:
+            super().on_body(body)
+        else:
+            self._opened.body += body
+
+    def on_message_complete(self) -> None:
+        """Submit the request: it is whole."""
+        request, self._opened = self._opened, None
+        if request is None:
+            super().on_message_complete()
+            return
+        self._clock.pause()
+        self._submitted = True
+        self.shortcut.answer(request, self._reply, lambda: self._leave(bytes(request.body)))
+
+    def shutdown(self) -> None:
+        """Pass an unfinished request to uvicorn, and end as it does."""
+        self._in_turn = False
+        self._hand_over()
+        super().shutdown()
+
+    def _awaits_head(self) -> bool:
+        return self._opened is None
+
+    def _on_late(self) -> None:
+        """Pass a request whose body is late to uvicorn: admission bounds bodies."""
+        if self._opened is not None:
+            self._hand_over()
+        else:
+            super()._on_late()
+
+    def _open(self) -> ShortcutRequest | None:
+        """Return the request whose head is whole, unless something on this connection is unusual."""
+        parser = self.parser
+        if (
+            not self._in_turn
+            or parser.get_method() != b"POST"
+            or parser.get_http_version() != "1.1"
+            or not parser.should_keep_alive()
+            or parser.should_upgrade()
+            or self.expect_100_continue
+            or self.flow.write_paused
+            or not (self.cycle is None or self.cycle.response_complete)
+            or CLOSE in self.server_state.default_headers
+        ):
+            return None
+        self.scope["method"] = "POST"
+        return self.shortcut.open(self.url, cast(Scope, self.scope))
+
+    def _reply(self, status: int, headers: Headers, content: bytes) -> None:
+        """Write the answer of the shortcut, as uvicorn writes others."""
+        self._submitted = False
+        if not self.transport.is_closing():
+            lines = [b"%b: %b\r\n" % header for header in (*self.server_state.default_headers, *headers)]
+            self._writes.write_whole(b"".join((STATUS_LINE[status], *lines, b"\r\n", content)))
+        self.on_response_complete()
+
+    def _hand_over(self) -> None:
+        """Pass a request whose body is not whole yet to uvicorn."""
+        request, self._opened = self._opened, None
+        if request is not None:
+            super().on_headers_complete()
+            super().on_body(bytes(request.body))
+
+    def _leave(self, body: bytes) -> None:
+        """Pass a whole request to uvicorn."""
+        self._submitted = False
+        if self not in self.connections:  # the client has left
+            return
+        super().on_headers_complete()
+        super().on_body(body)
+        super().on_message_complete()
+
+
+def connection_class(
+    head_s: float, refused: Callable[[str], None], shortcut: Shortcut | None = None
+) -> type[BoundedConnection]:
+    """Return the class of connections, which uvicorn instantiates itself.
+
+    Args:
+        head_s: longest time until a head is whole, in s.
+        refused: called with the code of each refusal that happens before there is a request.
+        shortcut: answers plain single pushes; None where every request must pass all rings.
+    """
+    own: dict[str, Any] = {"head_s": head_s, "refused": staticmethod(refused)}
+    if shortcut is None:
+        return type("Connection", (BoundedConnection,), own)
+    return type("Connection", (ShortcutConnection,), {**own, "shortcut": shortcut})

@@ -16,7 +16,7 @@ from typing import Final
 
 import uvicorn
 
-from service.transport.connection import LEAVE
+from service.transport.connection import CLOSE
 
 _QUEUE_S: Final = 0.05
 
@@ -37,8 +37,8 @@ class DrainingServer(uvicorn.Server):
             super().handle_exit(sig, frame)
             return
         self._closes_at = time.monotonic() + self._drain_s
-        self.config.encoded_headers.append(LEAVE)  # from which uvicorn makes its headers anew, every second
-        self.server_state.default_headers = [*self.server_state.default_headers, LEAVE]
+        self.config.encoded_headers.append(CLOSE)  # from which uvicorn makes its headers anew, every second
+        self.server_state.default_headers = [*self.server_state.default_headers, CLOSE]
 
     async def on_tick(self, counter: int) -> bool:
         """Ten times a second: whether to close."""

@@ -1,8 +1,8 @@
-"""API keys: who may ask for what. Off unless the operator names a file of keys; re-read when that file changes.
+"""API keys and their scopes. Off unless the operator names a file of keys, which is read again when it changes.
 
-One key a line: a name, its scopes with commas between, and the SHA-256 of the key in hex; ``#`` begins a comment.
-The keys themselves are long and random (``cazsl keys new`` makes them), so a plain digest is enough to keep them:
-there is nothing to guess. A file that cannot be read, or a line that is none, opens nothing.
+A line holds a name, the scopes separated by commas, and the SHA-256 of the key in hex. ``#`` begins a comment. Keys are
+long and random (``cazsl keys new`` makes them), so that a plain digest cannot be reversed by guessing. If the file
+cannot be read, or a line is not valid, no key is accepted.
 """
 
 import hashlib
@@ -10,7 +10,6 @@ import hmac
 import logging
 import re
 import secrets
-from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -26,7 +25,7 @@ logger = logging.getLogger(__name__)
 
 
 class Scope(StrEnum):
-    """What a key may cover."""
+    """The scopes that a key may have."""
 
     PREDICT = "predict"
     METRICS = "metrics"
@@ -34,7 +33,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Grant:
-    """What one key opens."""
+    """One key: its name, its scopes and its digest."""
 
     name: str
     scopes: frozenset[Scope]
@@ -42,34 +41,34 @@ class Grant:
 
     @classmethod
     def new(cls, name: str, scopes: frozenset[Scope]) -> tuple[Self, str]:
-        """A new grant, and its key: the only time that it is seen."""
+        """Create a grant and its key, which is shown only now."""
         key = secrets.token_urlsafe(KEY_BYTES)
         return cls(name, scopes, _digest(key.encode())), key
 
     def line(self) -> str:
-        """How the file has it."""
+        """Return the line of the file."""
         return f"{self.name} {','.join(sorted(self.scopes))} {self.sha256.hex()}"
 
 
 class Keys:
-    """The grants of a file, as it is now."""
+    """The keys of a file, as it is now."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
-        self._seen: object = None
+        self._last_status: object = None
         self._grants: tuple[Grant, ...] = ()
 
     @property
     def wanted(self) -> bool:
-        """Whether a key is needed at all."""
+        """Return whether keys are required."""
         return self._path is not None
 
     def admit(self, authorization: bytes | None, scope: Scope) -> None:
-        """Let a request pass, or not.
+        """Accept a request with this Authorization header for a scope.
 
         Raises:
-            MissingKeyError: it has no key, or none that is known.
-            ForbiddenError: its key does not cover the scope.
+            MissingKeyError: it has no key, or an unknown one.
+            ForbiddenError: its key lacks the scope.
         """
         if self._path is None:
             return
@@ -77,7 +76,7 @@ class Keys:
         kind, _, key = (authorization or b"").partition(b" ")
         digest = _digest(key.strip())
         found = None
-        for grant in self._grants:  # all of them, whatever is found: how long it takes tells nothing
+        for grant in self._grants:  # all of them, in constant time: the duration must not depend on the key
             if hmac.compare_digest(grant.sha256, digest):
                 found = grant
         if kind.lower() != b"bearer" or found is None:
@@ -86,28 +85,28 @@ class Keys:
             raise ForbiddenError(scope)
 
     def _reread(self, path: Path) -> None:
-        """Read the file again when it is another one; when it cannot be read, nothing is open."""
+        """Read the file again if it has changed. If it cannot be read, no key is accepted."""
         try:
             status = path.stat()
-            seen = (status.st_mtime_ns, status.st_size, status.st_ino)
-            if seen == self._seen:
+            current = (status.st_mtime_ns, status.st_size, status.st_ino)
+            if current == self._last_status:
                 return
-            self._seen = seen
+            self._last_status = current
             self._grants = parse(path.read_text(encoding="utf-8") if status.st_size <= _LARGEST_FILE else "too large")
             logger.info("keys read", extra={"keys": len(self._grants)})
         except (OSError, ValueError) as error:
             if self._grants or not isinstance(error, OSError):
-                logger.error("keys cannot be read: nothing is open", extra={"cause": str(error)})
+                logger.error("keys cannot be read: no key is accepted", extra={"cause": str(error)})
             self._grants = ()
             if isinstance(error, OSError):
-                self._seen = None  # it may come back as it was
+                self._last_status = None  # it may come back as it was
 
 
 def parse(text: str) -> tuple[Grant, ...]:
-    """The grants of a file.
+    """Parse a file of keys.
 
     Raises:
-        ValueError: a line is none; says which.
+        ValueError: a line is not valid. Names the line.
     """
     grants = []
     for number, line in enumerate(text.splitlines(), start=1):
@@ -123,11 +122,6 @@ def parse(text: str) -> tuple[Grant, ...]:
             raise ValueError(f"line {number}: {error}") from error
         grants.append(Grant(found["name"], scopes, bytes.fromhex(found["sha256"])))
     return tuple(grants)
-
-
-def authorization_of(headers: Iterable[tuple[bytes, bytes]]) -> bytes | None:
-    """The Authorization header of a request, as ASGI has it."""
-    return next((value for name, value in headers if name == b"authorization"), None)
 
 
 def _digest(key: bytes) -> bytes:

@@ -1,114 +1,99 @@
-"""Threads for what would hold up the event loop: large batches, images. Bounded in number, in queue and in time.
+"""The thread pool for work that would block the event loop: large batches and images.
 
-A thread per processor that this container may use but one, which is the event loop's: the runtime takes one thread per
-call, more would only take turns, and a loop that waits for its turn holds up everybody. What would wait behind a full
-queue is refused at once, so that the caller can go elsewhere; what waits longer than the deadline is told so, and
-dropped if it has not begun.
+The pool is bounded in threads, in queue length and in time. It has one thread per available processor, less one for the
+event loop: onnxruntime takes one thread per call, more would only share processors, and a waiting event loop delays
+every client. A full queue refuses at once. A job that waits longer than the deadline is dropped if it has not begun.
 """
 
 import asyncio
 import contextvars
-import math
-import os
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 from service.errors import DeadlineError, OverloadedError
-from service.observability.timings import took
+from service.observability.timings import record_timing
+from service.processors import processors
 
 P = ParamSpec("P")
 T = TypeVar("T")
-_CGROUP_CPU = Path("/sys/fs/cgroup/cpu.max")
 
 
-class Workers:
+class ThreadPool:
     """A bounded pool of threads with a deadline."""
 
     def __init__(self, threads: int, max_waiting: int, deadline_s: float) -> None:
         self.threads = threads
         self._pool: ThreadPoolExecutor | None = None
-        self._most = threads + max_waiting
+        self._max_jobs = threads + max_waiting
         self._deadline_s = deadline_s
         self.jobs = 0  # in threads or waiting for one
         self._counting = threading.Lock()
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
-        """The function's result, from a thread.
+        """Run a function in a thread and return its result.
 
         Raises:
             OverloadedError: the queue is full.
-            DeadlineError: it took longer than a request may.
+            DeadlineError: the result took longer than a request may.
         """
-        if self.jobs >= self._most:
-            raise OverloadedError(f"{self._most} requests of work for its threads")
+        if self.jobs >= self._max_jobs:
+            raise OverloadedError(f"{self._max_jobs} large batches and images")
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads, thread_name_prefix="worker")
-        asked = time.perf_counter()
+        submitted = time.perf_counter()
 
         def work() -> T:
-            """What runs in the thread."""
-            took("queue", time.perf_counter() - asked)
+            """Run the function in the thread, and record how long it was queued."""
+            record_timing("queue", time.perf_counter() - submitted)
             return function(*args, **kwargs)
 
         loop = asyncio.get_running_loop()
-        found: asyncio.Future[T] = loop.create_future()
+        result: asyncio.Future[T] = loop.create_future()
         job = self._pool.submit(contextvars.copy_context().run, work)
         self._count(+1)
-        # when its thread is free, which may be long after its caller has left
+        # A job counts until its thread is free, which may be long after its caller has left.
         job.add_done_callback(lambda _: self._count(-1))
-        job.add_done_callback(lambda done: _tell(loop, found, done))
+        job.add_done_callback(lambda done: _pass_on(loop, result, done))
         try:
-            # not wait_for of a wrapped future: beside work that fills the caches they cost a tenth of a millisecond
+            # wait_for and wrap_future cost a tenth of a millisecond beside work that fills the caches.
             async with asyncio.timeout(self._deadline_s):
-                return await found
+                return await result
         except TimeoutError as error:
             raise DeadlineError(self._deadline_s) from error
         finally:
-            job.cancel()  # what has not begun
+            job.cancel()  # has an effect only on a job that has not begun
 
     def _count(self, change: int) -> None:
-        """Called from the loop's thread and from the pool's."""
+        """Change the number of jobs. Called from the thread of the event loop and from those of the pool."""
         with self._counting:
             self.jobs += change
 
     def close(self) -> None:
-        """Drop what has not begun, and the threads; whoever runs something after that gets new ones."""
+        """Drop the jobs that have not begun, and end the threads. A later ``run`` starts new threads."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
 
 
-def _tell(loop: asyncio.AbstractEventLoop, found: asyncio.Future[T], done: Future[T]) -> None:
-    """Let the loop know, from a thread, what became of a job."""
+def _pass_on(loop: asyncio.AbstractEventLoop, result: asyncio.Future[T], done: Future[T]) -> None:
+    """Pass the outcome of a job from its thread to the event loop."""
     if not loop.is_closed() and not done.cancelled():
-        loop.call_soon_threadsafe(_settle, found, done)
+        loop.call_soon_threadsafe(_settle, result, done)
 
 
-def _settle(found: asyncio.Future[T], done: Future[T]) -> None:
-    if found.done():  # its caller has left
+def _settle(result: asyncio.Future[T], done: Future[T]) -> None:
+    if result.done():  # its caller has left
         return
     error = done.exception()
     if error is None:
-        found.set_result(done.result())
+        result.set_result(done.result())
     else:
-        found.set_exception(error)
+        result.set_exception(error)
 
 
 def threads_beside_the_loop() -> int:
-    """How many threads may be busy while the event loop still finds a processor; at least one."""
+    """Return the number of threads that may be busy while the event loop still finds a processor; at least 1."""
     return max(1, processors() - 1)
-
-
-def processors(cgroup_cpu: Path = _CGROUP_CPU) -> int:
-    """How many processors this process may use: the container's quota, or those that it is bound to; at least one."""
-    bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    try:
-        quota, period = cgroup_cpu.read_text(encoding="ascii").split()
-        allowed = math.ceil(int(quota) / int(period))
-    except (OSError, ValueError):  # no cgroup, or "max"
-        return bound
-    return max(1, min(bound, allowed))

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -10,15 +11,18 @@ from service.errors import BrokenModelError
 from service.inference.loaded_models import LoadedModels
 from service.model.onnx_graph import inspect_graph
 from service.model.predictor import OnnxPredictor, Predictor
-from service.model.tensors import ContextKind
+from service.model.tensors import ContextKind, Tensor
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 from tests.attacks.hostile_graphs import ATTACKS, honest
 from tests.fakes import load_fake, publish_fake
 
+TENSORS = expected_inputs(ContextKind.NONE), OUTPUTS
+
 
 def test_the_honest_graph_that_the_attacks_begin_with_is_accepted() -> None:
     """What is refused below is refused for the attack and for nothing else."""
-    OnnxPredictor(honest().SerializeToString(), ContextKind.NONE)
+    OnnxPredictor(honest().SerializeToString(), *TENSORS)
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
@@ -26,16 +30,16 @@ def test_a_hostile_graph_is_refused(attack: str) -> None:
     """The error names the file and the reason."""
     build, refusal = ATTACKS[attack]
     with pytest.raises(BrokenModelError, match=rf"model\.onnx: .*({refusal})"):
-        OnnxPredictor(build().SerializeToString(), ContextKind.NONE)
+        OnnxPredictor(build().SerializeToString(), *TENSORS)
 
 
 def test_a_published_attack_is_a_problem_and_what_is_served_goes_on(tmp_path: Path) -> None:
     """Through the whole path: digests fit, the graph is refused, the old version serves, readiness says why."""
     registry = Registry(tmp_path / "models")
 
-    def load(model: bytes, kind: ContextKind) -> Predictor:
+    def load(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> Predictor:
         """The fake for the fake, the real one for the attack."""
-        return load_fake(model, kind) if model == b"fine" else OnnxPredictor(model, kind)
+        return (load_fake if model == b"fine" else OnnxPredictor)(model, inputs, outputs)
 
     publish_fake(registry)
     models = LoadedModels(registry, load)

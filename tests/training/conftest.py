@@ -76,7 +76,7 @@ def data_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
-    """Finished run of the paper's network on the synthetic pushes; not to be changed."""
+    """Finished run of the paper's network on the synthetic pushes. Tests must not change it."""
     from training.fitting.samples import read_training_data
     from training.fitting.training_loop import fit
 
@@ -87,7 +87,7 @@ def indicator_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, r
 
 @pytest.fixture(scope="session")
 def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
-    """Finished run of the baseline without context on the synthetic pushes; not to be changed."""
+    """Finished run of the baseline without context on the synthetic pushes. Tests must not change it."""
     from training.fitting.samples import read_training_data
     from training.fitting.training_loop import fit
 
@@ -107,7 +107,7 @@ def viewed_pushes(data_folder: Path) -> Pushes:
 
 @pytest.fixture(scope="session")
 def visual_run(tmp_path_factory: pytest.TempPathFactory, viewed_pushes: Pushes, recipe: "Recipe") -> Path:
-    """Finished run with visual contexts on the synthetic pushes; not to be changed."""
+    """Finished run with visual contexts on the synthetic pushes. Tests must not change it."""
     from training.fitting.samples import TrainingData
     from training.fitting.training_loop import fit
 

@@ -57,7 +57,7 @@ class Inspection:
 
     @property
     def fit_to_train_on(self) -> bool:
-        """True without a finding that makes training wrong."""
+        """Verdict of the inspection: true without a finding that makes training wrong."""
         return not self.of(Severity.ERROR)
 
 

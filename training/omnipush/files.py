@@ -58,7 +58,7 @@ class FilePair:
 class FolderListing:
     """Files of a folder, matched to objects by name."""
 
-    pairs: dict[str, FilePair]  # the pair to read of each object, raw if there is one; sorted by descriptor
+    pairs: dict[str, FilePair]  # the pair to read of each object, raw if it exists, sorted by descriptor
     twins: dict[str, FilePair]  # normalised pairs of objects that also have a raw one
     faults: tuple[DataError, ...]
     warnings: tuple[str, ...]  # a reader may ignore these

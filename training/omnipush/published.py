@@ -19,7 +19,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Normalisation:
-    """Mean and standard deviation of inputs and outputs, float64 [3] each, in SI units (Omnipush data release)."""
+    """Normalisation statistics: mean and standard deviation of inputs and outputs, float64 [3] each, in SI units."""
 
     input_mean: npt.NDArray[np.float64]
     input_std: npt.NDArray[np.float64]

@@ -43,7 +43,7 @@ OUTCOME_SUFFIX: Final = Variant.RAW.outcome_suffix
 
 @dataclass(frozen=True)
 class Pushes:
-    """Pushes of some objects as dense arrays. Objects with fewer pushes are padded; ``valid`` marks the pushes."""
+    """Pushes of some objects as dense arrays. Objects with fewer pushes are padded. ``valid`` marks the pushes."""
 
     descriptors: tuple[str, ...]
     pushers: FloatArray  # (objects, rows, 3), x_m, y_m, angle_rad

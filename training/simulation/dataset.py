@@ -178,7 +178,7 @@ def _initial_states(model: mujoco.MjModel, pushers: Array, world_poses: Array) -
     rest = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, mujoco.MjData(model), rest, kind)
     state = np.tile(rest, (len(pushers), 1))
-    positions, velocities = 1, 1 + model.nq  # offsets; the time comes first
+    positions, velocities = 1, 1 + model.nq  # offsets, after the time
     yaw, heading = world_poses[:, 2], world_poses[:, 2] + pushers[:, 2]
     state[:, positions : positions + 2] = world_poses[:, :2]
     state[:, positions + 3], state[:, positions + 6] = np.cos(yaw / 2), np.sin(yaw / 2)

@@ -19,7 +19,7 @@ PUSHER_RADIUS_M: Final = 0.00475
 PUSHER_MASS_KG: Final = 1e5
 STIFF: Final = (2 * TIME_STEP_S, 1.0)  # contact stiffness, the most that the step allows: less than 0.1 mm deep
 MIDDLE_M: Final = FOOT_RADIUS_M + HEIGHT_M / 2
-_WALLS: Final = 1  # collision bit of pusher and walls; feet touch the table by declared pairs alone
+_WALLS: Final = 1  # collision bit of pusher and walls. Feet touch the table by declared pairs alone
 
 
 def scene(body: Solid) -> mujoco.MjSpec:

@@ -24,10 +24,10 @@ class Surface:
     """Surface: a plate of one material."""
 
     name: str
-    level: tuple[float, float]  # friction coefficient of a worn and of a new plate; drawn in between for every push
+    level: tuple[float, float]  # friction coefficients of a worn and a new plate, limits of the draw for every push
     spread: float  # standard deviation of the coefficient over the plate
     correlation_m: float  # length over which it changes
-    grain: float  # friction across the grain over friction along it; the grain runs along the world's x axis
+    grain: float  # friction across the grain over friction along it, which is the world's x axis
 
 
 # A correlation length of 3 cm and the grain are assumptions, set so that a repeated push scatters about as in table IV

@@ -1,26 +1,18 @@
-"""The bodies of the Open Inference Protocol, as the OpenAPI document has them.
+"""Bodies of the Open Inference Protocol: those of requests are read with these classes and documented by them.
 
-Requests are read by ``tensors``, which says the same in its own words; their bodies here are for the document.
+A request may have fields and parameters that the protocol knows and this service does not. They are ignored.
 """
 
-import base64
 from typing import Annotated, Any, Final, Literal
 
-import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, SkipValidation
 
-from service.api.open_inference.wire import LARGEST_RANK, MAX_ROWS, Parameters, render
 from service.schemas.body import Body
 from service.schemas.contexts import INDICATOR_EXAMPLE
+from service.schemas.rows import MAX_PUSHES
 
-_RAW_EXAMPLE, _ = render(
-    {"model_name": "push-indicator", "model_version": "1"},
-    {"mean": np.array([[0.021, 0.001, 0.03]], dtype=np.float32)},
-    frozenset(["mean"]),
-)
-RAW_ANSWER: Final = {  # a document in JSON has no other way to show bytes
-    "externalValue": "data:application/octet-stream;base64," + base64.b64encode(_RAW_EXAMPLE).decode()
-}
+LARGEST_RANK: Final = 4
+Parameters = dict[str, bool | int | float | str | None]
 _OPEN: Final = ConfigDict(extra="ignore")
 _PUSHER_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]}
 _OUTPUT_EXAMPLE: Final = {"name": "mean", "datatype": "FP32", "shape": [1, 3], "data": [0.021, 0.001, 0.03]}
@@ -28,7 +20,7 @@ _METADATA_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [-1, 
 
 
 class ErrorBody(Body):
-    """What went wrong, as the protocol has it."""
+    """An error, as the protocol has it."""
 
     error: Annotated[
         str,
@@ -46,14 +38,14 @@ class ServerLiveBody(Body):
 
 
 class ServerReadyBody(Body):
-    """Whether any model can be asked."""
+    """Readiness of the server."""
 
     live: Annotated[bool, Field(description="the protocol's word for ready", examples=[True])]
     ready: Annotated[bool, Field(description="what some clients look for", examples=[True])]
 
 
 class ServerBody(Body):
-    """What serves."""
+    """Name, version and extensions of the server."""
 
     name: Annotated[str, Field(description="always cazsl", examples=["cazsl"])] = "cazsl"
     version: Annotated[str, Field(description="of the service", examples=["0.1.0"])]
@@ -63,7 +55,7 @@ class ServerBody(Body):
 
 
 class ModelReadyBody(Body):
-    """The model can be asked."""
+    """Readiness of a model."""
 
     name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
     ready: Annotated[Literal[True], Field(description="always true: otherwise the status is 404", examples=[True])] = (
@@ -93,7 +85,7 @@ class ModelMetadataBody(Body):
 
 
 class InferTensorBody(Body):
-    """An output with its numbers; as raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
+    """An output with its numbers. As raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
 
     name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
     datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
@@ -106,16 +98,21 @@ class InferTensorBody(Body):
 
 
 class InferInputBody(Body):
-    """An input with its numbers; as raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
+    """An input with its numbers. As raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
 
     model_config = _OPEN
 
     name: Annotated[
-        Literal["pusher", "context", "context_index"], Field(description="of the tensor", examples=["pusher"])
+        str,
+        Field(
+            description="of the tensor",
+            examples=["pusher"],
+            json_schema_extra={"enum": ["pusher", "context", "context_index"]},
+        ),
     ]
     datatype: Annotated[Literal["FP32", "INT64"], Field(description="INT64 for context_index", examples=["FP32"])]
     shape: Annotated[
-        list[Annotated[int, Field(ge=1, le=MAX_ROWS)]],
+        list[Annotated[int, Field(ge=1, le=MAX_PUSHES)]],
         Field(min_length=1, max_length=LARGEST_RANK, description="n pushes or g objects first", examples=[[1, 3]]),
     ]
     parameters: Annotated[
@@ -123,7 +120,7 @@ class InferInputBody(Body):
         Field(description="binary_data_size: its bytes behind the JSON", examples=[{"binary_data_size": 12}]),
     ] = None
     data: Annotated[
-        list[float | list[Any]] | None,
+        list[SkipValidation[float | list[Any]]] | None,  # checked as a whole array
         Field(description="row-major, nested or flat", examples=[[-0.075, 0.0, 0.0]]),
     ] = None
 
@@ -133,14 +130,17 @@ class OutputBody(Body):
 
     model_config = _OPEN
 
-    name: Annotated[Literal["mean", "std"], Field(description="mean or std, each once", examples=["mean"])]
+    name: Annotated[
+        str,
+        Field(description="mean or std, each once", examples=["mean"], json_schema_extra={"enum": ["mean", "std"]}),
+    ]
     parameters: Annotated[
         Parameters | None, Field(description="binary_data: as raw bytes", examples=[{"binary_data": False}])
     ] = None
 
 
 class InferRequestBody(Body):
-    """An inference request; fields and parameters that the protocol knows and we do not are left alone."""
+    """An inference request. Other fields and parameters of the protocol are ignored."""
 
     model_config = _OPEN
 
@@ -166,7 +166,7 @@ class InferRequestBody(Body):
 
 
 class InferResponseBody(Body):
-    """An inference."""
+    """The answer to an inference request."""
 
     model_name: Annotated[str, Field(description="which answered", examples=["push-indicator"])]
     model_version: Annotated[str, Field(description="its version", examples=["1"])]

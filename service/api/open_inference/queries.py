@@ -1,10 +1,9 @@
-"""Inference as the Open Inference Protocol asks for it: tensors in, tensors out, by the same models and the same rules.
+"""Queries of the Open Inference Protocol: tensors in, tensors out, by the same models and rules as ``/v1``.
 
-A push that ``/v1`` refuses is refused here: out of reach, or an object that cannot be. Levels of a visual context are
-rounded to their 8 bits, as everywhere. Parameters other than those of the binary extension are left alone.
+A push that ``/v1`` refuses is refused here: out of reach, or with a context that cannot be. Levels of a visual context are
+rounded to 8 bits, as everywhere. Parameters other than those of the binary extension are ignored.
 """
 
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -12,84 +11,41 @@ from typing import Any, Final
 
 import numpy as np
 
-from service.api.open_inference.wire import Array, InferPart, read_inputs, read_json, render
-from service.errors import (
-    BodyTooLargeError,
-    InvalidRequestError,
-    MalformedBodyError,
-    UnsupportedMediaTypeError,
-)
-from service.inference.query import Answer, Asked, Objects
+from service.api.open_inference.bodies import InferRequestBody
+from service.api.open_inference.wire import Array, read_inputs, read_json, render
+from service.errors import InvalidRequestError
+from service.inference.query import Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.reference import ModelReference, parse_version
-from service.model.tensors import ContextKind, FloatArray, IndexArray
-from service.pushing.contexts import ObjectContext
+from service.model.tensors import ContextKind, FloatArray
+from service.pushing.contexts import ObjectContext, index_contexts
 from service.pushing.onnx_interface import OUTPUTS
 from service.pushing.poses import REACH_M, wrap_angles
 
-LIGHT_BYTES: Final = 16 * 1024  # as much is read in about the time that handing it to a thread takes
 _OUTPUT_NAMES: Final = tuple(tensor.name for tensor in OUTPUTS)
-_WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
+_CONTEXTS: Final = "inputs context"
+_CACHED_INDICATORS: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
 class InferRequest:
-    """One request as it came: which model, and what its headers say of its body."""
+    """An inference request whose tensors are not read yet: which they may be depends on the model."""
 
-    model: str
-    version: str | None
+    reference: ModelReference
     header_length: str | None
     content: bytes
 
 
-def parse_reference(model: str, version: str | None) -> ModelReference:
-    """The model that a path names.
-
-    Raises:
-        InvalidRequestError: name or version is none.
-    """
-    parsed = ModelReference.parse(model, "model")
-    if version is None:
-        return parsed
-    number = parse_version(version)
-    if number is None:
-        raise InvalidRequestError.at("version", "no version", "a positive integer")
-    return ModelReference(parsed.name, None, number)
-
-
-def inflate(content: bytes, encoding: str, most: int) -> bytes:
-    """The body behind a Content-Encoding, no more than so many bytes of it.
-
-    Raises:
-        UnsupportedMediaTypeError: another encoding.
-        MalformedBodyError: it is not what it says.
-        BodyTooLargeError: there is more of it.
-    """
-    bits = _WINDOW_BITS.get(encoding.strip().lower())
-    if bits is None:
-        raise UnsupportedMediaTypeError("header Content-Encoding: received another one; accepted is gzip or deflate")
-    stream = zlib.decompressobj(bits)
-    try:
-        found = stream.decompress(content, most + 1)
-    except zlib.error as error:
-        raise MalformedBodyError("body: received something that its Content-Encoding is not") from error
-    if len(found) > most:
-        raise BodyTooLargeError(most)
-    if not stream.eof or stream.unused_data:
-        raise MalformedBodyError("body: received half a stream, or more than one; accepted is one whole stream")
-    return found
-
-
 @dataclass(frozen=True, slots=True)
-class Inference(Asked):
-    """Asked in tensors."""
+class TensorQuery(Query):
+    """A query whose answer is tensors."""
 
-    wanted: Mapping[str, bool]  # outputs, in order, and whether as bytes
+    wanted: Mapping[str, bool]  # outputs, in order, and whether as raw bytes
     id: str | None
 
-    def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
-        """See ``Asked.answered``."""
+    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """See ``Query.encode``."""
         name, version = self.model.manifest.name, self.model.manifest.version
         document: dict[str, Any] = {"model_name": name, "model_version": str(version)}
         if self.id is not None:
@@ -98,51 +54,55 @@ class Inference(Asked):
         outputs = {output: given[output] for output in self.wanted}
         binary = frozenset(output for output, is_binary in self.wanted.items() if is_binary)
         content, headers = render(document, outputs, binary)
-        return Answer(content, self.notes(), headers)
+        return Answer(content, name, version, len(mean), headers)
 
 
-def infer(models: Snapshot, request: InferRequest) -> Answer:
-    """Answer one inference request.
-
-    Raises:
-        RequestError, ModelNotReadyError: as ``ask_inference``.
-        PredictionError: as ``LoadedModel.predict``.
-    """
-    return ask_inference(models, request).answer()
-
-
-def ask_inference(models: Snapshot, request: InferRequest) -> Inference:
-    """What an inference request asks.
+def parse_reference(model: str, version: str | None) -> ModelReference:
+    """Return the reference that a path holds.
 
     Raises:
-        RequestError: the request is not in order.
-        ModelNotReadyError: as ``Snapshot.find``.
+        InvalidRequestError: name or version is not valid.
     """
-    model = models.find(parse_reference(request.model, request.version))
-    part, raw = read_json(request.content, request.header_length)
-    wanted = _wanted_outputs(part)
-    inputs = read_inputs(part, raw, model.manifest.inputs)
+    parsed = ModelReference.parse(model, "model")
+    if version is None:
+        return parsed
+    number = parse_version(version)
+    if number is None:
+        raise InvalidRequestError.at("version", "a text that is not a version", "a positive integer")
+    return ModelReference(parsed.name, None, number)
+
+
+def ask_inference(models: Snapshot, request: InferRequest) -> TensorQuery:
+    """Return the query of an inference request.
+
+    Raises:
+        RequestError: the model, a tensor or a push cannot be.
+        ModelNotReadyError: see ``Snapshot.find``.
+    """
+    model = models.find(request.reference)
+    body, raw = read_json(request.content, request.header_length)
+    wanted = _wanted_outputs(body)
+    inputs = read_inputs(body, raw, model.manifest.inputs)
     pushers = _pushers(inputs.get("pusher"))
-    objects = Objects(model.manifest.context_kind, *_contexts(model, inputs, len(pushers)))
-    return Inference(model, pushers, objects, wanted, part.id)
+    return TensorQuery(model, pushers, _contexts(model, inputs, len(pushers)), wanted, body.id)
 
 
-def _wanted_outputs(part: InferPart) -> Mapping[str, bool]:
-    """The outputs to give, in order, and whether as bytes; a flag of one output wins over that of all."""
-    every = (part.parameters or {}).get("binary_data_output") is True
-    if not part.outputs:
+def _wanted_outputs(body: InferRequestBody) -> Mapping[str, bool]:
+    """Return the outputs to give, in order, and whether as raw bytes. The flag of an output wins over that of all."""
+    every = (body.parameters or {}).get("binary_data_output") is True
+    if not body.outputs:
         return dict.fromkeys(_OUTPUT_NAMES, every)
     wanted: dict[str, bool] = {}
-    for output in part.outputs:
+    for output in body.outputs:
         if output.name not in _OUTPUT_NAMES or output.name in wanted:
             accepted = f"each of {', '.join(_OUTPUT_NAMES)} once"
-            raise InvalidRequestError.at("outputs", "an unknown output or one twice", accepted)
+            raise InvalidRequestError.at("outputs", "an unknown or repeated output", accepted)
         wanted[output.name] = (output.parameters or {}).get("binary_data", every) is True
     return wanted
 
 
 def _pushers(given: Array | None) -> FloatArray:
-    """Pushes (n, 3) within reach, their angles wrapped."""
+    """Return pushes (n, 3) within reach, their angles wrapped."""
     if given is None:
         raise InvalidRequestError.at("inputs", "no tensor pusher", "pusher, FP32 [n, 3]")
     far = np.abs(given[:, :2]) > REACH_M
@@ -155,32 +115,21 @@ def _pushers(given: Array | None) -> FloatArray:
     return pushers
 
 
-def _contexts(
-    model: LoadedModel, inputs: Mapping[str, Array], count: int
-) -> tuple[FloatArray | None, IndexArray | None]:
-    """Objects and the place of each push's object; the index may be left out for one object, or one per push."""
-    if model.manifest.context_kind is ContextKind.NONE:
-        return None, None
-    given, index = inputs.get("context"), inputs.get("context_index")
+def _contexts(model: LoadedModel, inputs: Mapping[str, Array], pushes: int) -> ContextBatch:
+    """Return the contexts and the index of each push's context."""
+    kind = model.manifest.context_kind
+    if kind is ContextKind.NONE:
+        return ContextBatch(kind, None, None, _CONTEXTS)
+    given = inputs.get("context")
     if given is None:
         raise InvalidRequestError.at("inputs", "no tensor context", "context, as the model's metadata says")
-    contexts = _levels(given) if model.manifest.context_kind is ContextKind.VISUAL else _indicators(given)
-    if index is None:
-        if len(contexts) not in (1, count):
-            accepted = f"context_index, or one context, or {count}: one per push"
-            raise InvalidRequestError.at("inputs context", f"{len(contexts)} contexts", accepted)
-        one_each = np.arange(count, dtype=np.int64)
-        return contexts, np.zeros(count, dtype=np.int64) if len(contexts) == 1 else one_each
-    if len(index) != count:
-        raise InvalidRequestError.at("inputs context_index", f"{len(index)} values", f"{count}: one per push")
-    if index.min() < 0 or index.max() >= len(contexts):
-        accepted = f"0 to {len(contexts) - 1}"
-        raise InvalidRequestError.at("inputs context_index", "a place that context does not have", accepted)
-    return contexts, index.astype(np.int64)
+    tensor = _levels(given) if kind is ContextKind.VISUAL else _indicators(given)
+    index = index_contexts(len(tensor), pushes, inputs.get("context_index"), (_CONTEXTS, "inputs context_index"))
+    return ContextBatch(kind, tensor, index, _CONTEXTS)
 
 
 def _indicators(given: Array) -> FloatArray:
-    """Indicators (g, 36), each of an object that can be."""
+    """Return indicators (g, 36), each of an object that can be."""
     contexts: FloatArray = given.astype(np.float32)
     for number, row in enumerate(contexts):
         _check_indicator(row.tobytes(), number)
@@ -191,19 +140,19 @@ def _check_indicator(row: bytes, number: int) -> None:
     try:
         _known(row)
     except InvalidRequestError:
-        ObjectContext.from_indicator(np.frombuffer(row, np.float32).tolist(), f"inputs context[{number}]")
+        ObjectContext.from_indicator(np.frombuffer(row, np.float32).tolist(), f"{_CONTEXTS}[{number}]")
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=_CACHED_INDICATORS)
 def _known(row: bytes) -> ObjectContext:
-    """An object that is known to be one."""
+    """Return the object of an indicator that was valid before."""
     return ObjectContext.from_indicator(np.frombuffer(row, np.float32).tolist())
 
 
 def _levels(given: Array) -> FloatArray:
-    """Visual contexts (g, 1, 32, 32), rounded to 8 bits."""
+    """Return visual contexts (g, 1, 32, 32), rounded to 8 bits."""
     if given.min() < 0.0 or given.max() > 1.0:
-        raise InvalidRequestError.at("inputs context", "a level outside [0, 1]", "0 (black) to 1 (white)")
+        raise InvalidRequestError.at(_CONTEXTS, "a level outside [0, 1]", "0 (black) to 1 (white)")
     levels = np.floor(given.astype(np.float64) * 255.0 + 0.5).astype(np.float32)
     contexts: FloatArray = levels / np.float32(255.0)
     return contexts

@@ -1,20 +1,22 @@
-"""The /v2 endpoints: the Open Inference Protocol over the same models, for clients that speak it already.
+"""The routes of the Open Inference Protocol, over the same models as ``/v1``, for clients that speak it already.
 
-Names, fields and statuses are the protocol's (Open Inference Protocol V2, REST); where servers differ, the answer is
-one that every known client reads: both ``live`` and ``ready`` in health, ``model_name`` in every inference, versions as
-texts, errors as ``{"error": text}`` in plain ``application/json``.
+Names, fields and statuses are the protocol's (Open Inference Protocol V2, REST). Where servers differ, the answer is one
+that every known client reads: both ``live`` and ``ready`` in health, ``model_name`` in every inference, versions as texts,
+errors as ``{"error": text}`` in plain ``application/json``.
 """
 
+import base64
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Path, Request, Response
+import numpy as np
+from fastapi import APIRouter, Path, Request
 from pydantic.config import JsonDict
 
 import service
-from service.api.dependencies import readiness_of, respond, snapshot_of, workers_of
+from service.api.dependencies import readiness_of, snapshot_of
+from service.api.endpoint_route import EndpointRoute
 from service.api.open_inference.bodies import (
     INFERENCE,
-    RAW_ANSWER,
     ErrorBody,
     InferRequestBody,
     InferResponseBody,
@@ -25,10 +27,10 @@ from service.api.open_inference.bodies import (
     ServerReadyBody,
     TensorBody,
 )
-from service.api.open_inference.queries import LIGHT_BYTES, InferRequest, ask_inference, infer, inflate, parse_reference
-from service.api.open_inference.wire import DATATYPES, LENGTH_HEADER
+from service.api.open_inference.endpoints import MODEL_PATH, VERSION_PATH
+from service.api.open_inference.queries import parse_reference
+from service.api.open_inference.wire import DATATYPES, render
 from service.api.openapi import protocol_errors
-from service.api.v1.queries import LIGHT_PUSHES
 from service.errors import (
     BodyTooLargeError,
     CazslError,
@@ -43,12 +45,12 @@ from service.errors import (
     UnknownModelError,
     UnsupportedMediaTypeError,
 )
+from service.model.reference import ALIAS_PATTERN, NAME_PATTERN, VERSION_PATTERN
 from service.model.tensors import Tensor
 
-_PART: Final = "[a-z0-9][a-z0-9_-]{0,63}"
-# for the document only: our own words say what is wrong with a name
-_NAME: Final[JsonDict] = {"pattern": f"^{_PART}(@[a-z][a-z0-9_-]{{0,63}})?$"}
-_VERSION: Final[JsonDict] = {"pattern": "^[1-9][0-9]{0,8}$"}
+# For the document only: ``ModelReference`` has the better error messages.
+_NAME: Final[JsonDict] = {"pattern": f"^{NAME_PATTERN}(@{ALIAS_PATTERN})?$"}
+_VERSION: Final[JsonDict] = {"pattern": f"^{VERSION_PATTERN}$"}
 Name = Annotated[str, Path(description="a model, or model@alias", examples=["push-indicator"], json_schema_extra=_NAME)]
 Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
 _AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
@@ -75,6 +77,14 @@ _INFER_BODY: Final = {
         },
     }
 }
+_RAW_EXAMPLE, _ = render(
+    {"model_name": "push-indicator", "model_version": "1"},
+    {"mean": np.array([[0.021, 0.001, 0.03]], dtype=np.float32)},
+    frozenset(["mean"]),
+)
+_RAW_ANSWER: Final = {  # a document in JSON has no other way to show bytes
+    "externalValue": "data:application/octet-stream;base64," + base64.b64encode(_RAW_EXAMPLE).decode()
+}
 _INFER_RESPONSES: Final = {
     200: {
         "description": "JSON; or, when an output was asked for as raw bytes, JSON of as many bytes as the header "
@@ -82,7 +92,7 @@ _INFER_RESPONSES: Final = {
         "content": {
             "application/octet-stream": {
                 "schema": {"type": "string", "format": "binary"},
-                "examples": {"mean": {"summary": "mean, as raw bytes"} | RAW_ANSWER},
+                "examples": {"mean": {"summary": "mean, as raw bytes"} | _RAW_ANSWER},
             }
         },
     },
@@ -91,6 +101,7 @@ _INFER_RESPONSES: Final = {
 
 health = APIRouter(tags=["open inference"])
 router = APIRouter(tags=["open inference"])
+inference = APIRouter(route_class=EndpointRoute, tags=["open inference"])
 
 
 @health.get("/v2/health/live", summary="Does the process answer?")
@@ -156,28 +167,26 @@ async def version_ready(request: Request, name: Name, version: Version) -> Model
     return _ready(request, name, version)
 
 
-@router.post(
-    "/v2/models/{name}/infer",
+@inference.post(
+    MODEL_PATH,
     summary="Ask a model: tensors in, tensors out",
     response_model=InferResponseBody,
     responses=_INFER_RESPONSES,
     openapi_extra=_INFER_BODY,
 )
-async def ask_model(request: Request, name: Name) -> Response:
+async def ask_model(name: Name) -> None:
     """The same predictions as /v1, as tensors; the champion answers, and says which version it is."""
-    return await _ask(request, name, None)
 
 
-@router.post(
-    "/v2/models/{name}/versions/{version}/infer",
+@inference.post(
+    VERSION_PATH,
     summary="Ask a version: tensors in, tensors out",
     response_model=InferResponseBody,
     responses=_INFER_RESPONSES,
     openapi_extra=_INFER_BODY,
 )
-async def ask_version(request: Request, name: Name, version: Version) -> Response:
+async def ask_version(name: Name, version: Version) -> None:
     """The same predictions as /v1, as tensors."""
-    return await _ask(request, name, version)
 
 
 def _metadata(request: Request, name: str, version: str | None) -> ModelMetadataBody:
@@ -197,19 +206,6 @@ def _ready(request: Request, name: str, version: str | None) -> ModelReadyBody:
     if reason is not None:
         raise ModelNotReadyError(f"{manifest.name}@{manifest.version}: {reason}")
     return ModelReadyBody(name=manifest.name)
-
-
-async def _ask(request: Request, name: str, version: str | None) -> Response:
-    content, encoding = await request.body(), request.headers.get("content-encoding")
-    if encoding is not None and encoding.lower() != "identity":
-        content = await workers_of(request).run(inflate, content, encoding, request.app.state.max_body_bytes)
-    asked = InferRequest(name, version, request.headers.get(LENGTH_HEADER), content)
-    if len(content) > LIGHT_BYTES:
-        return respond(request, await workers_of(request).run(infer, snapshot_of(request), asked))
-    inference = ask_inference(snapshot_of(request), asked)
-    if len(inference.pushers) > LIGHT_PUSHES:  # as numbers they take a fraction of the bytes
-        return respond(request, await workers_of(request).run(inference.answer))
-    return respond(request, inference.answer())
 
 
 def _tensor_body(tensor: Tensor) -> TensorBody:

@@ -1,4 +1,4 @@
-"""What is served, as the bodies of answers: every model, one model, one version."""
+"""The catalogue of served models as bodies: every model, one model, one version."""
 
 import pydantic_core
 
@@ -9,13 +9,12 @@ from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 
 
 def models_body(models: Snapshot) -> ModelsBody:
-    """Every model that is served, by name."""
-    names = sorted({name for name, _ in models.models})
-    return ModelsBody(models=[model_body(models, name) for name in names])
+    """Return every served model, by name."""
+    return ModelsBody(models=[model_body(models, name) for name in models.names()])
 
 
 def model_body(models: Snapshot, name: str) -> ModelBody:
-    """One model, with its versions and aliases.
+    """Return one model, with its versions and aliases.
 
     Raises:
         UnknownModelError: none of it is served.
@@ -32,7 +31,7 @@ def model_body(models: Snapshot, name: str) -> ModelBody:
 
 
 def version_body(models: Snapshot, name: str, version: int) -> ModelVersionDetailBody:
-    """One version, with its manifest and its card.
+    """Return one version, with its manifest and its card.
 
     Raises:
         UnknownModelError, ModelNotReadyError: as ``Snapshot.find``.

@@ -1,4 +1,4 @@
-"""Contexts of a request as the tensors of a model."""
+"""Contexts of a request as the tensors of a model. Descriptors are encoded once and cached; images are timed."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -7,30 +7,40 @@ from typing import Final
 import numpy as np
 
 from service.errors import InvalidRequestError
-from service.inference.query import FIRST_OBJECT, NO_OBJECT, Objects
+from service.inference.query import FIRST_CONTEXT, ContextBatch
 from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.observability.timings import timed
 from service.pushing.contexts import ObjectContext
 from service.pushing.images import decode, visual_context
 from service.schemas.contexts import ContextBody
-from service.schemas.pushes import PredictRequest
 
 MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
-_CACHED_OBJECTS: Final = 4096  # Omnipush has 250
+_CACHED_DESCRIPTORS: Final = 4096  # Omnipush has 250 objects
+_FIELD: Final = "body.context"
+_NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, None, None, _FIELD)
 
 
-def _object(request: PredictRequest) -> Objects:
-    return NO_OBJECT if request.context is None else Objects(*_encoded(request.context, "body.context"), FIRST_OBJECT)
+def encode_context(context: ContextBody | None) -> ContextBatch:
+    """Encode the context of a single push.
+
+    Raises:
+        RequestError: it cannot be one.
+    """
+    return _NO_CONTEXT if context is None else ContextBatch(*_encode(context, _FIELD), FIRST_CONTEXT, _FIELD)
 
 
-def _seen(image: bytes, places: IndexArray) -> Objects:
-    return Objects(ContextKind.VISUAL, visual_context(decode(image)).tensor()[None], places)
+def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | None) -> ContextBatch:
+    """Encode the contexts of a batch; each descriptor once, however often it occurs.
 
-
-def _objects(contexts: Sequence[ContextBody], places: IndexArray) -> Objects:
-    """The distinct objects among contexts; those told by one descriptor are encoded once."""
+    Raises:
+        RequestError: one cannot be a context, their kinds differ, or there are more than ``MAX_IMAGES`` images.
+    """
+    where = "body.contexts"
+    if contexts is None or index is None:
+        return ContextBatch(ContextKind.NONE, None, None, where)
     if sum(context.image is not None for context in contexts) > MAX_IMAGES:
         accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
-        raise InvalidRequestError.at("body.contexts", f"more than {MAX_IMAGES} images", accepted)
+        raise InvalidRequestError.at(where, f"more than {MAX_IMAGES} images", accepted)
     kinds: dict[ContextKind, int] = {}
     tensors: list[FloatArray] = []
     known: dict[str, int] = {}
@@ -39,7 +49,7 @@ def _objects(contexts: Sequence[ContextBody], places: IndexArray) -> Objects:
         descriptor = context.only_descriptor
         place = None if descriptor is None else known.get(descriptor)
         if place is None:
-            kind, tensor = _encoded(context, f"body.contexts.{number}")
+            kind, tensor = _encode(context, f"{where}.{number}")
             kinds.setdefault(kind, number)
             place = len(tensors)
             tensors.append(tensor)
@@ -48,23 +58,38 @@ def _objects(contexts: Sequence[ContextBody], places: IndexArray) -> Objects:
         renumbered[number] = place
     if len(kinds) > 1:
         received = " and ".join(f"kind {kind} at {number}" for kind, number in kinds.items())
-        raise InvalidRequestError.at("body.contexts", received, "contexts of one kind")
-    return Objects(next(iter(kinds)), np.concatenate(tensors), renumbered[places])
+        raise InvalidRequestError.at(where, received, "contexts of one kind")
+    return ContextBatch(next(iter(kinds)), np.concatenate(tensors), renumbered[index], where)
 
 
-def _encoded(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:
-    """Kind and tensor (1, ...) of one object."""
+def encode_image(image: bytes, index: IndexArray) -> ContextBatch:
+    """Encode the object in an image file. Blocking: it decodes.
+
+    Raises:
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
+    """
+    with timed("decode"):
+        tensor = visual_context(decode(image)).tensor()[None]
+    return ContextBatch(ContextKind.VISUAL, tensor, index, "body.image")
+
+
+def _encode(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:
+    """Return kind and tensor (1, ...) of one context."""
     descriptor = context.only_descriptor
     if descriptor is not None:
         try:
             return ContextKind.INDICATOR, _tensor_of(descriptor)
         except InvalidRequestError:
-            pass  # said below, with its place
-    known = context.to_contract(where)
+            pass  # raised below, with its field
+    if context.image is None:
+        known = context.to_domain(where)
+    else:
+        with timed("decode"):
+            known = context.to_domain(where)
     return known.kind, known.tensor()[None]
 
 
-@lru_cache(maxsize=_CACHED_OBJECTS)
+@lru_cache(maxsize=_CACHED_DESCRIPTORS)
 def _tensor_of(descriptor: str) -> FloatArray:
     tensor = ObjectContext.from_descriptor(descriptor).tensor()[None]
     tensor.setflags(write=False)

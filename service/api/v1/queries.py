@@ -1,7 +1,6 @@
-"""From a request that is valid in itself to the bytes of its answer: which model, which objects, which frame.
+"""Queries of ``/v1``: from a valid request to the model that it names, and from a Gaussian to JSON.
 
-Every way in comes through here, the fast one and the documented one, so that both give the same bytes. Numbers of the
-object frame are written as float32 needs them and no longer; those of the world frame as float64.
+Numbers of the object frame are written with the digits of float32, those of the world frame with the digits of float64.
 """
 
 from collections.abc import Callable
@@ -11,31 +10,30 @@ from typing import Final
 import numpy as np
 import orjson
 
-from service.api.v1.object_contexts import _object, _objects, _seen
-from service.api.v1.uploads import Upload
-from service.inference.query import FIRST_OBJECT, NO_OBJECT, Answer, Asked, Objects
+from service.api.v1.object_contexts import encode_context, encode_contexts, encode_image
+from service.inference.query import FIRST_CONTEXT, Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
-from service.model.tensors import ContextKind, FloatArray
+from service.model.tensors import FloatArray
+from service.observability.timings import timed
 from service.pushing.poses import DoubleArray, into_world_frame
 from service.schemas.contexts import describe_image
 from service.schemas.pushes import BatchRequest, Prediction, PredictRequest
 
-LIGHT_PUSHES: Final = 256  # as many are answered in about the time that handing them to a thread takes
-LIGHT_OBJECTS: Final = 256  # so many are encoded in the event loop
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
-Render = Callable[[FloatArray | DoubleArray, FloatArray | DoubleArray, DoubleArray | None], dict[str, object]]
+_Array = FloatArray | DoubleArray
+Render = Callable[[_Array, _Array, DoubleArray | None], dict[str, object]]
 
 
 @dataclass(frozen=True, slots=True)
-class Question(Asked):
-    """Asked in JSON of ours, with the objects in the world where that was said."""
+class JsonQuery(Query):
+    """A query whose answer is JSON of ours, in the world frame where the request gave the objects' poses in it."""
 
-    frames: DoubleArray | None  # where the objects are, (1, 3) or (n, 3)
+    frames: DoubleArray | None  # of the objects in the world, (1, 3) or (n, 3)
     render: Render
 
-    def answered(self, mean: FloatArray, std: FloatArray) -> Answer:
-        """See ``Asked.answered``."""
+    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """See ``Query.encode``."""
         name, version = self.model.manifest.name, self.model.manifest.version
         document: dict[str, object] = {"model": {"name": name, "version": version}}
         if self.frames is None:
@@ -44,117 +42,88 @@ class Question(Asked):
             turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), self.frames)
             spread = np.ascontiguousarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
             document |= {"frame": "world", **self.render(turned, spread, covariance)}
-        return Answer(orjson.dumps(document, option=_JSON), self.notes())
+        return Answer(orjson.dumps(document, option=_JSON), name, version, len(mean))
 
 
-def ask_one(models: Snapshot, request: PredictRequest) -> Question:
-    """What a request for one push asks.
-
-    Raises:
-        RequestError: the push, the object or the model asked for cannot be.
-        ModelNotReadyError: as ``Snapshot.find``.
-    """
-    objects = _object(request)
-    return _one_push(_model(models, request, objects.kind), request, objects)
-
-
-def predict_one(models: Snapshot, request: PredictRequest) -> Answer:
-    """Answer one push.
+def ask_single(models: Snapshot, request: PredictRequest) -> JsonQuery:
+    """Return the query of a single push.
 
     Raises:
-        RequestError, ModelNotReadyError: as ``ask_one``.
-        PredictionError: as ``LoadedModel.predict``.
+        RequestError: the push, the context or the model cannot be.
+        ModelNotReadyError: see ``Snapshot.find``.
     """
-    return ask_one(models, request).answer()
+    contexts = encode_context(request.context)
+    return _single(_find(models, request, contexts), request, contexts)
 
 
-def predict_with(model: LoadedModel, request: PredictRequest) -> Answer:
-    """Answer one push by this model, whichever the request asks for.
+def ask_model(model: LoadedModel, request: PredictRequest) -> JsonQuery:
+    """Return the query of a single push to this model, whichever the request names.
 
     Raises:
-        RequestError, PredictionError: as ``predict_one``.
+        RequestError: the push or the context cannot be.
     """
-    return _one_push(model, request, _object(request)).answer()
+    return _single(model, request, encode_context(request.context))
 
 
-def ask_batch(models: Snapshot, request: BatchRequest) -> Question:
-    """What a request for many pushes asks.
+def ask_batch(models: Snapshot, request: BatchRequest) -> JsonQuery:
+    """Return the query of many pushes. The answer of a push depends on its own row and context only.
 
     Raises:
-        RequestError: a push, an object or the model asked for cannot be.
-        ModelNotReadyError: as ``Snapshot.find``.
+        RequestError: a push, a context or the model cannot be.
+        ModelNotReadyError: see ``Snapshot.find``.
     """
-    pushers, places = request.pusher_poses(), None
-    if request.contexts is not None or request.context_index is not None:
-        places = request.places()
-    objects = NO_OBJECT if places is None else _objects(request.contexts or (), places)
-    model = _model(models, request, objects.kind)
-    return Question(model, pushers.astype(np.float32), objects, request.objects(), _columns)
+    pushers = request.pusher_poses()
+    contexts = encode_contexts(request.contexts, request.context_indices())
+    return _batch(_find(models, request, contexts), pushers, request, contexts)
 
 
-def predict_batch(models: Snapshot, request: BatchRequest) -> Answer:
-    """Answer many pushes; a push's answer depends on its own row and object only.
+@dataclass(frozen=True, slots=True)
+class ImageRequest:
+    """One push or many of the object in an image file."""
+
+    pushes: PredictRequest | BatchRequest
+    image: bytes
+
+
+def ask_image(models: Snapshot, request: ImageRequest) -> JsonQuery:
+    """Return the query of one push or many of the object in an image. Blocking: it decodes.
 
     Raises:
-        RequestError, ModelNotReadyError: as ``ask_batch``.
-        PredictionError: as ``LoadedModel.predict``.
+        RequestError: a push, the image or the model cannot be.
+        ModelNotReadyError: see ``Snapshot.find``.
     """
-    return ask_batch(models, request).answer()
+    pushes = request.pushes
+    if isinstance(pushes, PredictRequest):
+        contexts = encode_image(request.image, FIRST_CONTEXT)
+        return _single(_find(models, pushes, contexts), pushes, contexts)
+    contexts = encode_image(request.image, np.zeros(len(pushes.pushers), dtype=np.int64))
+    return _batch(_find(models, pushes, contexts), pushes.pusher_poses(), pushes, contexts)
 
 
-def predict_upload(models: Snapshot, upload: Upload) -> Answer:
-    """Answer one push (field ``pusher``) or many (``pushers``) of the object in an image; blocking: it decodes.
-
-    The fields are looked at first: they cost less than the image.
+def describe_view(_models: Snapshot, image: bytes) -> Answer:
+    """Answer with the visual context of an image, a thumbnail and quality flags. Blocking: it decodes.
 
     Raises:
-        ValidationError: a field is not what the schemas say.
-        RequestError, ModelNotReadyError, PredictionError: as ``predict_one`` and ``images.decode``.
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
     """
-    if "pushers" not in upload.fields:
-        request = PredictRequest.model_validate(upload.fields)
-        objects = _seen(upload.image, FIRST_OBJECT)
-        return _one_push(_model(models, request, objects.kind), request, objects).answer()
-    batch = BatchRequest.model_validate(upload.fields)
-    objects = _seen(upload.image, np.zeros(len(batch.pushers), dtype=np.int64))
-    model, pushers = _model(models, batch, objects.kind), batch.pusher_poses().astype(np.float32)
-    return Question(model, pushers, objects, batch.objects(), _columns).answer()
+    with timed("decode"):
+        return Answer(describe_image(image).model_dump_json().encode())
 
 
-def describe_upload(_models: Snapshot, upload: Upload) -> Answer:
-    """Say what a model sees of an image; blocking: it decodes.
-
-    Raises:
-        RequestError: as ``images.decode``.
-    """
-    return Answer(describe_image(upload.image).model_dump_json().encode(), {})
-
-
-def is_light(request: PredictRequest | BatchRequest) -> bool:
-    """Whether a request of few bytes may be answered in the event loop."""
-    return is_read_quickly(request) and (not isinstance(request, BatchRequest) or len(request.pushers) <= LIGHT_PUSHES)
-
-
-def is_read_quickly(request: object) -> bool:
-    """Whether the event loop may work out what a request of few bytes asks: it has few objects, and no pictures."""
-    if isinstance(request, BatchRequest):
-        contexts = request.contexts or ()
-        return len(contexts) <= LIGHT_OBJECTS and all(context.image is None for context in contexts)
-    return not isinstance(request, PredictRequest) or request.context is None or request.context.image is None
-
-
-def _one_push(model: LoadedModel, request: PredictRequest, objects: Objects) -> Question:
-    return Question(model, request.pusher_poses().astype(np.float32), objects, request.objects(), _one)
-
-
-def _model(models: Snapshot, request: Prediction, kind: ContextKind) -> LoadedModel:
+def _find(models: Snapshot, request: Prediction, contexts: ContextBatch) -> LoadedModel:
     reference = request.reference()
-    return models.find_default(kind) if reference is None else models.find(reference)
+    return models.find_default(contexts.kind) if reference is None else models.find(reference)
 
 
-def _one(
-    mean: FloatArray | DoubleArray, std: FloatArray | DoubleArray, covariance: DoubleArray | None
-) -> dict[str, object]:
+def _single(model: LoadedModel, request: PredictRequest, contexts: ContextBatch) -> JsonQuery:
+    return JsonQuery(model, request.pusher_poses().astype(np.float32), contexts, request.object_frames(), _one)
+
+
+def _batch(model: LoadedModel, pushers: DoubleArray, request: BatchRequest, contexts: ContextBatch) -> JsonQuery:
+    return JsonQuery(model, pushers.astype(np.float32), contexts, request.object_frames(), _columns)
+
+
+def _one(mean: _Array, std: _Array, covariance: DoubleArray | None) -> dict[str, object]:
     (x, y, angle), (x_std, y_std, angle_std) = mean[0], std[0]
     rows: dict[str, object] = {
         "mean": {"x": x, "y": y, "angle": angle},
@@ -163,8 +132,6 @@ def _one(
     return rows if covariance is None else {**rows, "covariance": covariance[0]}
 
 
-def _columns(
-    mean: FloatArray | DoubleArray, std: FloatArray | DoubleArray, covariance: DoubleArray | None
-) -> dict[str, object]:
+def _columns(mean: _Array, std: _Array, covariance: DoubleArray | None) -> dict[str, object]:
     rows: dict[str, object] = {"mean": mean, "std": std}
     return rows if covariance is None else {**rows, "covariance": covariance}

@@ -1,7 +1,7 @@
-"""An uploaded image and the fields beside it, as a form or by itself; read whole from memory, in a thread.
+"""Uploads: an image file with fields beside it, as a form or by itself. Read from memory, in a thread.
 
-The form is parsed by python-multipart through Starlette, held to one file and a few fields, and never written to disk:
-the intake has bounded its bytes already.
+The form is parsed by python-multipart through Starlette, limited to one file and a few fields, and never written to
+disk. Admission has bounded its bytes already.
 """
 
 import asyncio
@@ -23,42 +23,42 @@ _FIELDS: Final = _JSON_FIELDS | {"model"}
 
 @dataclass(frozen=True)
 class Upload:
-    """An image file, and the fields beside it: those that are JSON parsed, ``model`` as text."""
+    """An image file and the fields beside it. Fields in JSON are parsed, ``model`` is text."""
 
     image: bytes
     fields: dict[str, Any] = field(default_factory=dict)
 
 
 class _InMemory(MultiPartParser):
-    """Never touches the disk: a read-only container has none to write to."""
+    """A form parser that never writes to disk: a container may be read-only."""
 
     spool_max_size = 1 << 62
 
     def close(self) -> None:
-        """Close every file; the parser forgets those whose end did not come."""
+        """Close every file, also those whose end did not arrive, which the parser forgets."""
         for file in self._files_to_close_on_error:
             file.close()
 
 
 def read_upload(headers: Headers, content: bytes) -> Upload:
-    """The image in a body; blocking, so call it in a thread.
+    """Read the image and the fields of a body. Blocking: call it in a thread without an event loop.
 
     Raises:
         UnsupportedMediaTypeError: it is neither a form nor an image.
-        MalformedBodyError: it is no whole form, or has too many parts.
-        InvalidRequestError: the image is not there, or a field is unknown, twice there, or no JSON.
+        MalformedBodyError: it is not a whole form, or has too many parts.
+        InvalidRequestError: the image is missing, or a field is unknown, repeated, or not JSON.
     """
     media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
     if media_type in IMAGE_TYPES:
         return Upload(content)
     if media_type != FORM_TYPE or not _is_utf8(headers.get("content-type", "")):
         accepted = ", ".join((FORM_TYPE, *IMAGE_TYPES))
-        raise UnsupportedMediaTypeError(f"header Content-Type: received something else; accepted is {accepted}")
+        raise UnsupportedMediaTypeError(f"header Content-Type: received another type or none; accepted is {accepted}")
     try:
         form = asyncio.run(_parse(headers, content))
     except (MultiPartException, KeyError, ValueError) as error:
         accepted = f"one file image and the fields {', '.join(sorted(_FIELDS))}, with the boundary of the header"
-        raise MalformedBodyError(f"body: received no such form; accepted is {accepted}") from error
+        raise MalformedBodyError(f"body: received another form; accepted is {accepted}") from error
     image: bytes | None = None
     fields: dict[str, Any] = {}
     for name, value in form:
@@ -68,17 +68,19 @@ def read_upload(headers: Headers, content: bytes) -> Upload:
             fields[name] = _json(name, value) if name in _JSON_FIELDS else value
         else:
             accepted = f"a file image, and each of {', '.join(sorted(_FIELDS))} at most once, as text"
-            raise InvalidRequestError.at("body", "another part, one twice, or a text for a file", accepted)
+            raise InvalidRequestError.at(
+                "body", "an unknown part, a repeated part, or a text in place of a file", accepted
+            )
     if image is None:
-        raise InvalidRequestError.at("body.image", "nothing", "a file: PNG, JPEG or WebP")
+        raise InvalidRequestError.at("body.image", "no file", "a file: PNG, JPEG or WebP")
     return Upload(image, fields)
 
 
 async def _parse(headers: Headers, content: bytes) -> list[tuple[str, str | bytes]]:
-    """The parts of a form, in order."""
+    """Return the parts of a form, in order."""
 
     async def stream() -> AsyncGenerator[bytes, None]:
-        """The body in one part."""
+        """Yield the body in one part."""
         yield content
 
     parser = _InMemory(headers, stream(), max_files=1, max_fields=len(_FIELDS), max_part_size=len(content))
@@ -92,7 +94,7 @@ async def _parse(headers: Headers, content: bytes) -> list[tuple[str, str | byte
 
 
 def _is_utf8(content_type: str) -> bool:
-    """Whether the text of a form is declared as UTF-8 or not at all: some of Python's codecs are slow on purpose."""
+    """Return whether the charset of a form is UTF-8 or not declared: some of Python's codecs are slow by design."""
     parameters = content_type.lower().replace('"', "").replace(" ", "").split(";")
     return all(not text.startswith("charset") or text == "charset=utf-8" for text in parameters)
 
@@ -101,4 +103,6 @@ def _json(name: str, text: str) -> Any:
     try:
         return pydantic_core.from_json(text)
     except ValueError as error:
-        raise InvalidRequestError.at(f"body.{name}", "no JSON", "JSON, as in POST /v1/predict") from error
+        raise InvalidRequestError.at(
+            f"body.{name}", "a text that is not JSON", "JSON, as in POST /v1/predict"
+        ) from error

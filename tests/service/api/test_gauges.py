@@ -13,7 +13,7 @@ from tests.fakes import BROKEN, fake_models, load_fake, publish_fake
 
 def scrape(models: LoadedModels) -> str:
     """The text of a service over these models."""
-    return render(create_app(Settings(), models).state.metrics).decode()
+    return render(create_app(Settings(), models).parts.metrics).decode()
 
 
 def test_loads_swaps_releases_and_failures_are_counted(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +11,10 @@ import pytest
 from service.errors import ContextKindError, ModelNotReadyError, UnknownModelError
 from service.inference.loaded_models import THOROUGH_EVERY, LoadedModels
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind
+from service.model.tensors import ContextKind, Tensor
 from service.pushing.contexts import ObjectContext, VisualContext
-from service.pushing.poses import Pose
 from service.registry.registry import Registry
-from tests.fakes import BROKEN, LYING, STD, FakePredictor, fake_models, load_fake, publish_fake
+from tests.fakes import BROKEN, LYING, STD, FakePredictor, fake_models, load_fake, predict_push, publish_fake
 
 NAME = "push-indicator"
 CHAMPION = ModelReference.parse(NAME)
@@ -37,19 +37,19 @@ def models(registry: Registry) -> LoadedModels:
 
 def test_a_push_is_predicted_in_domain_values(models: LoadedModels) -> None:
     """Poses in, a Gaussian out; the context reaches the predictor, the angle comes out wrapped."""
-    gaussian = models.snapshot.find(CHAMPION).predict_push(Pose(-0.08, 0.02, 0.0), OBJECT)
+    (x_m, _, angle_rad), std = predict_push(models.snapshot.find(CHAMPION), (-0.08, 0.02, 0.0), OBJECT)
     turned = 8.0 - 6.283185307179586  # eight ones in an indicator
-    assert gaussian.mean.x_m == pytest.approx(0.008)
-    assert gaussian.mean.angle_rad == pytest.approx(turned, abs=1e-6)
-    assert [gaussian.std.x_m, gaussian.std.y_m, gaussian.std.angle_rad] == pytest.approx(list(STD))
+    assert x_m == pytest.approx(0.008)
+    assert angle_rad == pytest.approx(turned, abs=1e-6)
+    assert std == pytest.approx(list(STD))
 
 
 def test_the_context_must_be_of_the_models_kind(models: LoadedModels) -> None:
     """A context for a model without, and none for a model with, are the caller's mistakes."""
     with pytest.raises(ContextKindError, match="kind none"):
-        models.snapshot.find(CHAMPION).predict_push(Pose(0.0, 0.0, 0.0), None)
+        predict_push(models.snapshot.find(CHAMPION), (0.0, 0.0, 0.0), None)
     with pytest.raises(ContextKindError, match="kind indicator"):
-        models.snapshot.find_default(ContextKind.NONE).predict_push(Pose(0.0, 0.0, 0.0), OBJECT)
+        predict_push(models.snapshot.find_default(ContextKind.NONE), (0.0, 0.0, 0.0), OBJECT)
 
 
 def test_a_visual_model_passes_its_self_check_and_takes_views(registry: Registry) -> None:
@@ -59,9 +59,9 @@ def test_a_visual_model_passes_its_self_check_and_takes_views(registry: Registry
     loaded.refresh()
     model = loaded.snapshot.find_default(ContextKind.VISUAL)
     view = VisualContext.from_bytes(bytes([255, 255]) + bytes(1022))
-    assert model.predict_push(Pose(0.0, 0.0, 0.0), view).mean.angle_rad == pytest.approx(2.0)
+    assert predict_push(model, (0.0, 0.0, 0.0), view)[0][2] == pytest.approx(2.0)
     with pytest.raises(ContextKindError, match="kind indicator"):
-        model.predict_push(Pose(0.0, 0.0, 0.0), OBJECT)
+        predict_push(model, (0.0, 0.0, 0.0), OBJECT)
 
 
 def test_before_the_first_look_nothing_is_ready(registry: Registry) -> None:
@@ -120,7 +120,7 @@ def test_a_broken_version_is_not_served_and_says_why(registry: Registry, models:
     models.refresh()
     assert models.snapshot.find(CHAMPION).manifest.version == 1
     assert any(f"{NAME}@2 is broken" in problem for problem in models.snapshot.problems)
-    assert any("1 goes on being served" in problem for problem in models.snapshot.problems)
+    assert any("1 stays served" in problem for problem in models.snapshot.problems)
     with pytest.raises(UnknownModelError):
         models.snapshot.find(ModelReference.parse(f"{NAME}@2"))
 
@@ -222,9 +222,9 @@ def test_a_predictor_is_only_made_from_verified_bytes(registry: Registry) -> Non
     """The factory never sees a byte whose digest was not compared."""
     seen: list[bytes] = []
 
-    def load(model: bytes, kind: ContextKind) -> FakePredictor:
+    def load(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> FakePredictor:
         seen.append(model)
-        return load_fake(model, kind)
+        return load_fake(model, inputs, outputs)
 
     publish_fake(registry)
     (registry.root / NAME / "2" / "model.onnx").write_bytes(b"evil")
@@ -238,3 +238,24 @@ def test_models_are_values(models: LoadedModels) -> None:
     assert replace(model) == model
     with pytest.raises(AttributeError):
         model.card = "other"  # type: ignore[misc]
+
+
+def test_an_alias_that_is_new_is_a_load_and_no_swap(tmp_path: Path) -> None:
+    """A swap is a change of what was served; looking twice counts nothing twice."""
+    registry, models = fake_models(tmp_path / "models")
+    models.refresh()
+    assert (models.counters.loads["push-indicator"], models.counters.swaps["push-indicator", "champion"]) == (1, 0)
+    publish_fake(registry)
+    models.refresh()
+    models.refresh()
+    assert (models.counters.loads["push-indicator"], models.counters.swaps["push-indicator", "champion"]) == (2, 1)
+
+
+def test_a_registry_is_down_until_it_is_seen(tmp_path: Path) -> None:
+    """And up again as soon as it is."""
+    models = LoadedModels(Registry(tmp_path / "models"), load_fake)
+    models.refresh()
+    assert (models.counters.registry_up, models.counters.registry_failures) == (False, 1)
+    publish_fake(Registry(tmp_path / "models"))
+    models.refresh()
+    assert (models.counters.registry_up, models.counters.registry_failures) == (True, 1)

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from service.api.v1.queries import ask_one, predict_one
+from service.api.v1.queries import ask_single
 from service.errors import ContextKindError, PredictionError
-from service.inference.micro_batching import MOST_PUSHES, Turns
+from service.inference.micro_batching import MAX_PUSHES_PER_CALL, MicroBatcher
 from service.inference.query import Answer
 from service.inference.snapshot import Snapshot
 from service.model.tensors import ContextKind
-from service.observability.timings import Parts, listen
+from service.observability.timings import Timings, collect_timings
 from service.schemas.pushes import PredictRequest
 from tests.fakes import CHECKED_PUSH, FAILING, FakePredictor, fake_models, publish_fake
 
@@ -38,8 +38,8 @@ def gathered(models: Snapshot, requests: list[PredictRequest]) -> list[Answer | 
 
     async def together() -> list[Answer | BaseException]:
         """All in one turn."""
-        turns = Turns()
-        asked = (turns.answer(ask_one(models, one)) for one in requests)
+        batcher = MicroBatcher()
+        asked = (batcher.answer(ask_single(models, one)) for one in requests)
         return await asyncio.wait_for(asyncio.gather(*asked, return_exceptions=True), 10.0)
 
     return asyncio.run(together())
@@ -61,7 +61,7 @@ def test_pushes_of_a_turn_are_one_call_with_an_answer_each(models: Snapshot) -> 
     answers = gathered(models, requests)
 
     assert calls(models, "push-indicator") == [10]
-    assert answers == [predict_one(models, one) for one in requests]
+    assert answers == [ask_single(models, one).answer() for one in requests]
     assert len({answer.content for answer in answers if isinstance(answer, Answer)}) == 10
 
 
@@ -72,7 +72,7 @@ def test_models_and_kinds_of_object_have_a_call_each(models: Snapshot) -> None:
 
     answers = gathered(models, requests)
 
-    assert [answer.notes["model"] for answer in answers if isinstance(answer, Answer)] == [
+    assert [answer.model for answer in answers if isinstance(answer, Answer)] == [
         "push-none",
         "push-indicator",
         "push-visual",
@@ -83,9 +83,9 @@ def test_models_and_kinds_of_object_have_a_call_each(models: Snapshot) -> None:
 
 def test_a_crowd_is_more_than_one_call(models: Snapshot) -> None:
     """So that no call holds the loop for long."""
-    answers = gathered(models, [request(number) for number in range(2 * MOST_PUSHES + 1)])
+    answers = gathered(models, [request(number) for number in range(2 * MAX_PUSHES_PER_CALL + 1)])
 
-    assert calls(models, "push-none") == [MOST_PUSHES, MOST_PUSHES, 1]
+    assert calls(models, "push-none") == [MAX_PUSHES_PER_CALL, MAX_PUSHES_PER_CALL, 1]
     assert all(isinstance(answer, Answer) for answer in answers)
 
 
@@ -126,34 +126,34 @@ def test_who_left_is_not_answered_and_disturbs_nobody(models: Snapshot) -> None:
 
     async def scenario() -> Answer:
         """One leaves, one stays."""
-        turns = Turns()
-        leaving = asyncio.create_task(turns.answer(ask_one(models, request(0))))
-        staying = asyncio.create_task(turns.answer(ask_one(models, request(1))))
+        batcher = MicroBatcher()
+        leaving = asyncio.create_task(batcher.answer(ask_single(models, request(0))))
+        staying = asyncio.create_task(batcher.answer(ask_single(models, request(1))))
         await asyncio.sleep(0)
         leaving.cancel()
         return await staying
 
-    assert asyncio.run(scenario()) == predict_one(models, request(1))
+    assert asyncio.run(scenario()) == ask_single(models, request(1)).answer()
 
 
 def test_every_request_tells_what_the_call_took(models: Snapshot) -> None:
     """Once each, in its own parts."""
 
-    async def one(turns: Turns, number: int) -> Parts:
+    async def one(batcher: MicroBatcher, number: int) -> Timings:
         """A request that listens."""
-        parts: Parts = []
-        listen(parts)
-        await turns.answer(ask_one(models, request(number)))
-        return parts
+        timings: Timings = []
+        collect_timings(timings)
+        await batcher.answer(ask_single(models, request(number)))
+        return timings
 
-    async def scenario() -> list[Parts]:
+    async def scenario() -> list[Timings]:
         """Three of them."""
-        turns = Turns()
-        return await asyncio.gather(*(asyncio.create_task(one(turns, number)) for number in range(3)))
+        batcher = MicroBatcher()
+        return await asyncio.gather(*(asyncio.create_task(one(batcher, number)) for number in range(3)))
 
     found = asyncio.run(scenario())
 
-    assert [[part for part, _ in parts] for parts in found] == [["inference"]] * 3
+    assert [[phase for phase, _ in timings] for timings in found] == [["inference"]] * 3
 
 
 def test_a_turn_after_another_is_asked_too(models: Snapshot) -> None:
@@ -161,8 +161,8 @@ def test_a_turn_after_another_is_asked_too(models: Snapshot) -> None:
 
     async def scenario() -> list[Answer]:
         """One after the other."""
-        turns = Turns()
-        return [await turns.answer(ask_one(models, request(number))) for number in range(2)]
+        batcher = MicroBatcher()
+        return [await batcher.answer(ask_single(models, request(number))) for number in range(2)]
 
-    assert asyncio.run(scenario()) == [predict_one(models, request(number)) for number in range(2)]
+    assert asyncio.run(scenario()) == [ask_single(models, request(number)).answer() for number in range(2)]
     assert calls(models, "push-none") == [1, 1, 1, 1]

@@ -13,10 +13,10 @@ from service.app import create_app
 from service.errors import PredictionError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import FloatArray, IndexArray
 from service.registry.registry import Registry
 from service.settings import Settings
-from tests.fakes import FakePredictor, publish_fake
+from tests.fakes import FakePredictor, load_fake, publish_fake
 
 
 @dataclass
@@ -43,7 +43,7 @@ class Fickle(FakePredictor):
 @pytest.fixture
 def fickle() -> Fickle:
     """The predictor of the only model."""
-    return Fickle(b"", ContextKind.INDICATOR)
+    return Fickle(b"", takes_context=True)
 
 
 @pytest.fixture
@@ -103,7 +103,7 @@ def test_a_hanging_model_takes_one_thread_however_often_it_is_asked(models: Load
 
 def test_an_empty_registry_is_told_and_left_alone_once_it_is_filled(tmp_path: Path) -> None:
     """503 with the reason and what is being done; the first model makes it 200, without a restart."""
-    models = LoadedModels(Registry(tmp_path / "models"), FakePredictor)
+    models = LoadedModels(Registry(tmp_path / "models"), load_fake)
     with TestClient(create_app(Settings(poll_interval_s=0.02), models)) as client:
         response = client.get("/readyz")
         assert response.status_code == 503
@@ -143,7 +143,7 @@ def test_the_end_makes_it_unready_whatever_is_loaded(models: LoadedModels) -> No
     """A load balancer that asks sends nothing more."""
     app = create_app(Settings(poll_interval_s=3600), models)
     with TestClient(app) as client:
-        app.state.readiness.drain()
+        app.parts.readiness.drain()
         response = client.get("/readyz")
         assert (response.status_code, "SIGTERM" in response.json()["reason"]) == (503, True)
 
@@ -160,7 +160,7 @@ def test_a_registry_that_hangs_delays_no_sign_of_life(tmp_path: Path) -> None:
             released.wait()
             return super().fingerprint()
 
-    models = LoadedModels(Hanging(tmp_path), FakePredictor)
+    models = LoadedModels(Hanging(tmp_path), load_fake)
     with TestClient(create_app(Settings(), models)) as client:
         assert client.get("/livez").status_code == 200
         assert "was not read yet" in client.get("/readyz").json()["reason"]

@@ -13,7 +13,10 @@ from service.model.predictor import OnnxPredictor, Predictor
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
+
+NONE, INDICATOR = ((expected_inputs(kind), OUTPUTS) for kind in (ContextKind.NONE, ContextKind.INDICATOR))
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +29,7 @@ def shipped(project_root: Path) -> bytes:
 @pytest.fixture(scope="module")
 def predictor(shipped: bytes) -> Predictor:
     """The champion, loaded."""
-    return OnnxPredictor(shipped, ContextKind.INDICATOR)
+    return OnnxPredictor(shipped, *INDICATOR)
 
 
 def pushes(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -50,8 +53,9 @@ def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) 
 def test_the_runtime_tells_nobody_what_it_runs(project_root: Path, tmp_path: Path) -> None:
     """Its telemetry, on by default, begins with a name for this device and a queue in the user's folders."""
     code = (
-        "import sys; from service.pushing.contexts import ContextKind; from service.model.predictor import OnnxPredictor;"
-        "OnnxPredictor(sys.stdin.buffer.read(), ContextKind.NONE)"
+        "import sys; from service.pushing.onnx_interface import OUTPUTS, expected_inputs;"
+        "from service.model.predictor import OnnxPredictor; from service.model.tensors import ContextKind;"
+        "OnnxPredictor(sys.stdin.buffer.read(), expected_inputs(ContextKind.NONE), OUTPUTS)"
     )
     quiet = {name: value for name, value in os.environ.items() if not name.startswith(("ORT_", "XDG_"))}
     done = subprocess.run(
@@ -82,7 +86,7 @@ def contexts(kind: ContextKind, count: int) -> np.ndarray | None:
 def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: ContextKind) -> None:
     """Alone, in a crowd, first or last: the same bits, of every model that ships."""
     registry, name = Registry(project_root / "models"), f"push-{kind}"
-    predictor = OnnxPredictor(registry.read(name, registry.versions(name)[-1]).model, kind)
+    predictor = OnnxPredictor(registry.read(name, registry.versions(name)[-1]).model, expected_inputs(kind), OUTPUTS)
     rng, tensor = np.random.default_rng(2), contexts(kind, 30)
     pusher = rng.uniform([-0.1, -0.1, -3.1], [0.1, 0.1, 3.1], (600, 3)).astype(np.float32)
     index = rng.integers(0, 30, 600)
@@ -100,20 +104,20 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: C
 def test_bytes_that_are_no_graph_are_a_broken_model(model: bytes) -> None:
     """The runtime's own errors do not leave this module."""
     with pytest.raises(BrokenModelError, match=r"model\.onnx: (not an ONNX model|onnxruntime refuses)"):
-        OnnxPredictor(model, ContextKind.INDICATOR)
+        OnnxPredictor(model, *INDICATOR)
 
 
 def test_a_graph_with_other_tensors_is_a_broken_model(shipped: bytes) -> None:
     """A graph that wants a context is none for models without."""
     with pytest.raises(BrokenModelError, match="not those of the contract"):
-        OnnxPredictor(shipped, ContextKind.NONE)
+        OnnxPredictor(shipped, *NONE)
 
 
 def test_a_loaded_model_does_not_keep_its_file(project_root: Path) -> None:
     """A worker would hold every byte twice."""
     model = Registry(project_root / "models").read("push-indicator", 1).model
     before = sys.getrefcount(model)
-    predictor = OnnxPredictor(model, ContextKind.INDICATOR)
+    predictor = OnnxPredictor(model, *INDICATOR)
     assert sys.getrefcount(model) == before
     del predictor
 

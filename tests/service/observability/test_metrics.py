@@ -7,15 +7,23 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from service.observability.metrics import RequestMetrics
 from service.observability.prometheus import Distribution, Reading, Readings, exposition, render
+from service.observability.records import RequestRecord
+from service.observability.timings import Timings
 
-LINE = {
-    "route": "/v1/predict",
-    "status": 200,
-    "duration_ms": 1.0,
-    "model": "push-indicator",
-    "version": 1,
-    "pushes": 3,
-}
+
+def record(version: int = 1, route: str = "/v1/predict", timings: Timings | None = None) -> RequestRecord:
+    """A push that was answered by a version."""
+    return RequestRecord(
+        "one",
+        "POST",
+        route=route,
+        model="push-indicator",
+        version=version,
+        pushes=3,
+        timings=timings or [],
+        status=200,
+        duration_s=0.3,
+    )
 
 
 def scraped(*collectors: RequestMetrics | Readings) -> dict[tuple[str, frozenset[tuple[str, str]]], float]:
@@ -49,7 +57,7 @@ def test_versions_leave_no_series_behind_where_nobody_reads() -> None:
 
     metrics = RequestMetrics(is_served)
     for newest in range(1, 1001):
-        metrics.note({**LINE, "version": newest})
+        metrics.note(record(newest))
     asked.clear()
     found = scraped(metrics)
     assert min(asked) >= 512
@@ -68,8 +76,7 @@ def test_a_value_on_a_bound_counts_below_it() -> None:
 
 def test_a_request_is_counted_by_route_model_and_version(metrics: RequestMetrics) -> None:
     """Latency, inference, rows and status; the parts that have no model by themselves."""
-    took = {"duration_ms": 300.0, "queue_ms": 20.0, "decode_ms": 200.0, "inference_ms": 0.03}
-    metrics.note({**LINE, "route": "/v1/predict/batch", **took})
+    metrics.note(record(1, "/v1/predict/batch", [("queue", 0.02), ("decode", 0.2), ("inference", 0.00003)]))
     labels = {"route": "/v1/predict/batch", "model": "push-indicator", "version": "1"}
     found = scraped(metrics)
     assert sample(found, "cazsl_request_duration_seconds_count", **labels) == 1.0
@@ -84,7 +91,7 @@ def test_a_request_is_counted_by_route_model_and_version(metrics: RequestMetrics
 
 def test_refusals_are_counted_by_reason(metrics: RequestMetrics) -> None:
     """The code of the problem, and the status under the route; no model has answered."""
-    metrics.note({"route": "/v1/predict", "status": 422, "duration_ms": 1.0, "code": "invalid_request"})
+    metrics.note(RequestRecord("one", "POST", route="/v1/predict", code="invalid_request", status=422))
     found = scraped(metrics)
     assert sample(found, "cazsl_refusals_total", reason="invalid_request") == 1.0
     assert sample(found, "cazsl_requests_total", route="/v1/predict", status="422") == 1.0
@@ -94,7 +101,7 @@ def test_refusals_are_counted_by_reason(metrics: RequestMetrics) -> None:
 def test_versions_that_are_served_no_more_leave_no_series_and_take_no_count_with_them(metrics: RequestMetrics) -> None:
     """A thousand versions in a year leave none behind; requests by route never fall."""
     for version in range(1, 1001):
-        metrics.note({**LINE, "version": version})
+        metrics.note(record(version))
     for _ in range(2):
         found = scraped(metrics)
         versions = {dict(labels).get("version") for name, labels in found if name.endswith("duration_seconds_count")}

@@ -14,6 +14,7 @@ from fastapi.testclient import TestClient
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
 from service.observability.logs import RequestLog, configure_logging
+from service.observability.records import RequestRecord
 from service.registry.registry import Registry
 from service.settings import Settings
 
@@ -48,12 +49,12 @@ def written() -> io.StringIO:
 @pytest.fixture
 def logged(served: tuple[Registry, LoadedModels], written: io.StringIO) -> Iterator[TestClient]:
     """The app, writing there; leaving it writes what is not written yet."""
-    level = logging.getLogger("service.observability.telemetry").level
-    logging.getLogger("service.observability.telemetry").setLevel(logging.INFO)
+    level = logging.getLogger("service.requests").level
+    logging.getLogger("service.requests").setLevel(logging.INFO)
     app = create_app(Settings(poll_interval_s=3600), served[1], RequestLog(written))
     with TestClient(app, raise_server_exceptions=False) as found:
         yield found
-    logging.getLogger("service.observability.telemetry").setLevel(level)
+    logging.getLogger("service.requests").setLevel(level)
 
 
 def lines(client: TestClient, written: io.StringIO) -> list[dict[str, Any]]:
@@ -72,7 +73,7 @@ def test_a_request_leaves_one_line_with_its_model(logged: TestClient, written: i
     assert found.pop("duration_ms") >= found.pop("inference_ms") >= 0.0
     assert found == {
         "level": "INFO",
-        "logger": "service.observability.telemetry",
+        "logger": "service.requests",
         "message": "request",
         "request_id": "one",
         "method": "POST",
@@ -133,14 +134,14 @@ def test_lines_are_written_soon_and_many_at_once() -> None:
         """What happens, in the loop."""
         stream = io.StringIO()
         log = RequestLog(stream)
-        log.add({"status": 1})
-        log.add({"status": 2})
+        log.add(RequestRecord("one", "GET", status=1))
+        log.add(RequestRecord("two", "GET", status=2))
         assert stream.getvalue() == ""
         while not stream.getvalue():
             await asyncio.sleep(0.01)
         assert [json.loads(line)["status"] for line in stream.getvalue().splitlines()] == [1, 2]
         for number in range(1000):
-            log.add({"status": number})
+            log.add(RequestRecord("many", "GET", status=number))
         assert len(stream.getvalue().splitlines()) > 500
 
     asyncio.run(scenario())

@@ -1,30 +1,30 @@
-"""Parts of a request tell what they took to whoever listens."""
+"""Timings of a request tell what they took to whoever listens."""
 
 import asyncio
 
 import pytest
 
-from service.observability.timings import Parts, listen, timed, took
-from service.transport.threads import Workers
+from service.observability.timings import Timings, collect_timings, record_timing, timed
+from service.transport.threads import ThreadPool
 
 
 def test_what_is_told_outside_of_a_request_is_not_kept() -> None:
     """A command that predicts has nobody who listens."""
-    took("decode", 1.0)
+    record_timing("decode", 1.0)
     with timed("decode"):
         pass
 
 
-def test_two_requests_at_once_hear_their_own_parts() -> None:
+def test_two_requests_at_once_hear_their_own_timings() -> None:
     """Each task has its own list, in the threads that work for it too; waiting for a thread is a part."""
-    workers = Workers(2, 8, 10.0)
+    threads = ThreadPool(2, 8, 10.0)
 
-    async def request(seconds: float) -> Parts:
+    async def request(seconds: float) -> Timings:
         """One request."""
-        parts: Parts = []
-        listen(parts)
-        await workers.run(took, "inference", seconds)
-        return parts
+        timings: Timings = []
+        collect_timings(timings)
+        await threads.run(record_timing, "inference", seconds)
+        return timings
 
     async def scenario() -> None:
         """What happens, in the loop."""
@@ -33,7 +33,7 @@ def test_two_requests_at_once_hear_their_own_parts() -> None:
         assert (first[1], second[1]) == (("inference", 1.0), ("inference", 2.0))
 
     asyncio.run(scenario())
-    workers.close()
+    threads.close()
 
 
 def test_a_part_that_fails_is_timed_too() -> None:
@@ -41,11 +41,11 @@ def test_a_part_that_fails_is_timed_too() -> None:
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        parts: Parts = []
-        listen(parts)
+        timings: Timings = []
+        collect_timings(timings)
         with pytest.raises(ZeroDivisionError), timed("decode"):
             raise ZeroDivisionError
-        ((part, seconds),) = parts
+        ((part, seconds),) = timings
         assert (part, seconds >= 0.0) == ("decode", True)
 
     asyncio.run(scenario())

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from service.errors import InvalidRequestError
 from service.model.tensors import ContextKind
 from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext, VisualContext
-from service.pushing.poses import Pose, wrap_angle
+from service.pushing.poses import wrap_angle
 
 sides = st.tuples(st.sampled_from("134"), st.sampled_from("abc")) | st.tuples(st.just("2"), st.sampled_from("abcBC"))
 descriptors = st.lists(sides, min_size=4, max_size=4).map(
@@ -36,7 +36,6 @@ def test_a_wrapped_angle_is_the_same_direction_in_the_half_open_interval(angle: 
 def test_angles_at_the_border_have_one_value(angle: float, expected: float) -> None:
     """Both names of the same border direction become pi."""
     assert wrap_angle(angle) == pytest.approx(expected, abs=1e-15)
-    assert Pose.wrapped(1.0, 2.0, angle) == Pose(1.0, 2.0, wrap_angle(angle))
 
 
 @given(descriptors)

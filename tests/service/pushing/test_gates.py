@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
-from service.pushing.gates import Verdict
-from service.registry.promotion import judge
+from service.pushing.gates import physics_gates
 from tests.fakes import draft_manifest
 
 
@@ -61,7 +61,7 @@ def refused(verdicts: list[Verdict]) -> list[str]:
 @pytest.mark.parametrize("kind", [ContextKind.NONE, ContextKind.INDICATOR])
 def test_a_model_that_keeps_the_laws_passes(kind: ContextKind) -> None:
     """The first version of a model has no champion to be measured against."""
-    verdicts = judge(model(kind=kind), None)
+    verdicts = list(physics_gates(model(kind=kind)))
     assert refused(verdicts) == []
     assert [verdict.gate for verdict in verdicts] == [
         "no-contact",
@@ -73,7 +73,7 @@ def test_a_model_that_keeps_the_laws_passes(kind: ContextKind) -> None:
 
 def test_a_visual_model_is_turned_by_turning_its_views() -> None:
     """The views are those that it carries for its self-check."""
-    verdicts = judge(model(kind=ContextKind.VISUAL), None)
+    verdicts = list(physics_gates(model(kind=ContextKind.VISUAL)))
     assert "turned" in [verdict.gate for verdict in verdicts]
     assert refused(verdicts) == []
 
@@ -81,39 +81,8 @@ def test_a_visual_model_is_turned_by_turning_its_views() -> None:
 @pytest.mark.parametrize("flaw", ["no-contact", "turned", "angle-at-pi"])
 def test_each_law_that_is_broken_is_refused_by_its_gate(flaw: str) -> None:
     """With the figure and the limit in units of the outputs' deviations."""
-    verdicts = judge(model(flaw), None)
+    verdicts = list(physics_gates(model(flaw)))
     assert flaw in refused(verdicts)
     verdict = next(verdict for verdict in verdicts if verdict.gate == flaw)
     assert verdict.figure > verdict.limit > 0.0
     assert f"{verdict.limit:.3f}" in verdict.meaning
-
-
-def with_figures(nll: float = 1.0, coverage_90: float = 0.9, sha256: str = "0" * 64) -> LoadedModel:
-    """A model with other held-out figures."""
-    found = draft_manifest()
-    return model(
-        manifest=replace(
-            found,
-            metrics={name: replace(each, nll=nll) for name, each in found.metrics.items()},
-            calibration={name: replace(each, coverage_90=coverage_90) for name, each in found.calibration.items()},
-            data=replace(found.data, sha256=sha256, held_out_pushes=10_000),
-        )
-    )
-
-
-@pytest.mark.parametrize(
-    ("candidate", "expected"),
-    [
-        (with_figures(), []),
-        (with_figures(nll=0.5), []),
-        (with_figures(nll=1.001), ["nll"]),
-        (with_figures(coverage_90=0.904), []),
-        (with_figures(coverage_90=0.85), ["coverage"]),
-        (with_figures(coverage_90=0.95), ["coverage"]),
-        (with_figures(sha256="1" * 64), ["held-out"]),
-    ],
-    ids=["the same", "better", "worse NLL", "within chance", "too sure", "too unsure", "other data"],
-)
-def test_a_candidate_is_not_worse_than_the_champion(candidate: LoadedModel, expected: list[str]) -> None:
-    """On the same data and set-up; what was measured elsewhere cannot be compared and is refused."""
-    assert refused(judge(candidate, with_figures())) == expected

@@ -7,17 +7,18 @@ from typing import Any
 
 from starlette.types import Message, Receive, Scope, Send
 
-from service.transport.admission import Intake, IntakeLimits
+from service.observability.records import RequestRecord
+from service.transport.admission import Admission, AdmissionLimits
 
 PART: Message = {"type": "http.request", "body": b"x" * 100, "more_body": True}
 LAST: Message = {"type": "http.request", "body": b"", "more_body": False}
 GONE: Message = {"type": "http.disconnect"}
 
 
-def limits(**changes: Any) -> IntakeLimits:
+def limits(**changes: Any) -> AdmissionLimits:
     """Small ones."""
     usual = {"body_bytes": 1000, "body_s": 5.0, "in_flight": 2, "in_flight_per_caller": 0, "held_bytes": 10_000}
-    return IntakeLimits(**(usual | changes))
+    return AdmissionLimits(**(usual | changes))
 
 
 class Endpoint:
@@ -39,7 +40,10 @@ class Endpoint:
 
 
 async def ask(
-    intake: Intake, messages: list[Message], headers: list[tuple[bytes, bytes]] | None = None, client: str = "10.0.0.1"
+    admission: Admission,
+    messages: list[Message],
+    headers: list[tuple[bytes, bytes]] | None = None,
+    client: str = "10.0.0.1",
 ) -> tuple[int, dict[bytes, bytes], Any]:
     """Status, headers and document of the answer to these messages; nothing comes after them. Status 0: no answer."""
     sent: list[Message] = []
@@ -57,7 +61,7 @@ async def ask(
         sent.append(message)
 
     scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": headers or [], "client": (client, 1)}
-    await intake({**scope, "state": {"request_id": "one"}}, receive, send)
+    await admission({**scope, "state": {"record": RequestRecord("one", "POST")}}, receive, send)
     if not sent:
         return 0, {}, None
     return sent[0]["status"], dict(sent[0]["headers"]), json.loads(sent[1]["body"])
@@ -81,7 +85,7 @@ def test_a_body_in_pieces_arrives_whole() -> None:
         """What happens, in the loop."""
         endpoint = Endpoint()
         pieces = [{**PART, "body": bytes([byte])} for byte in b"hello"]
-        assert (await ask(Intake(endpoint, limits()), [*pieces, LAST]))[0] == 200
+        assert (await ask(Admission(endpoint, limits()), [*pieces, LAST]))[0] == 200
         assert endpoint.bodies == [b"hello"]
 
     run(scenario)
@@ -93,11 +97,11 @@ def test_a_body_over_the_limit_is_refused_declared_or_not() -> None:
     async def scenario() -> None:
         """What happens, in the loop."""
         endpoint = Endpoint()
-        intake = Intake(endpoint, limits())
-        assert (await ask(intake, [PART] * 10 + [LAST]))[0] == 200
-        status, _, document = await ask(intake, [PART] * 11 + [LAST])
+        admission = Admission(endpoint, limits())
+        assert (await ask(admission, [PART] * 10 + [LAST]))[0] == 200
+        status, _, document = await ask(admission, [PART] * 11 + [LAST])
         assert (status, document["code"]) == (413, "body_too_large")
-        status, _, document = await ask(intake, [LAST], [(b"content-length", b"1001")])
+        status, _, document = await ask(admission, [LAST], [(b"content-length", b"1001")])
         assert (status, document["code"]) == (413, "body_too_large")
         assert len(endpoint.bodies) == 1
 
@@ -109,10 +113,10 @@ def test_a_body_that_does_not_come_is_not_waited_for() -> None:
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        intake = Intake(Endpoint(), limits(body_s=0.05, in_flight=1))
-        slow = asyncio.ensure_future(ask(intake, [PART]))
+        admission = Admission(Endpoint(), limits(body_s=0.05, in_flight=1))
+        slow = asyncio.ensure_future(ask(admission, [PART]))
         await asyncio.sleep(0)
-        assert (await ask(intake, [LAST]))[0] == 200
+        assert (await ask(admission, [LAST]))[0] == 200
         status, headers, document = await slow
         assert (status, document["code"], headers[b"connection"]) == (408, "slow_body", b"close")
 
@@ -124,10 +128,10 @@ def test_a_client_that_goes_away_gets_nothing_and_leaves_nothing() -> None:
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        intake = Intake(Endpoint(), limits(held_bytes=150))
+        admission = Admission(Endpoint(), limits(held_bytes=150))
         for _ in range(5):
-            assert (await ask(intake, [PART, GONE]))[0] == 0
-        assert (await ask(intake, [PART, LAST]))[0] == 200
+            assert (await ask(admission, [PART, GONE]))[0] == 0
+        assert (await ask(admission, [PART, LAST]))[0] == 200
 
     run(scenario)
 
@@ -138,14 +142,14 @@ def test_more_than_fits_is_refused_at_once_with_a_moment_to_wait() -> None:
     async def scenario() -> None:
         """What happens, in the loop."""
         endpoint = Endpoint()
-        intake = Intake(endpoint, limits())
+        admission = Admission(endpoint, limits())
         endpoint.release.clear()
-        first, second = (asyncio.ensure_future(ask(intake, [LAST])) for _ in range(2))
+        first, second = (asyncio.ensure_future(ask(admission, [LAST])) for _ in range(2))
         await asyncio.sleep(0.01)
-        status, headers, document = await ask(intake, [LAST])
+        status, headers, document = await ask(admission, [LAST])
         assert (status, document["code"], headers[b"retry-after"]) == (503, "overloaded", b"1")
         endpoint.release.set()
-        assert [(await first)[0], (await second)[0], (await ask(intake, [LAST]))[0]] == [200, 200, 200]
+        assert [(await first)[0], (await second)[0], (await ask(admission, [LAST]))[0]] == [200, 200, 200]
 
     run(scenario)
 
@@ -156,21 +160,21 @@ def test_one_caller_has_its_share_and_others_have_theirs() -> None:
     async def scenario() -> None:
         """What happens, in the loop."""
         endpoint = Endpoint()
-        intake = Intake(endpoint, limits(in_flight=9, in_flight_per_caller=1))
+        admission = Admission(endpoint, limits(in_flight=9, in_flight_per_caller=1))
         endpoint.release.clear()
         key = [(b"authorization", b"Bearer one")]
         running = [
-            asyncio.ensure_future(ask(intake, [LAST])),
-            asyncio.ensure_future(ask(intake, [LAST], client="10.0.0.2")),
-            asyncio.ensure_future(ask(intake, [LAST], key)),
+            asyncio.ensure_future(ask(admission, [LAST])),
+            asyncio.ensure_future(ask(admission, [LAST], client="10.0.0.2")),
+            asyncio.ensure_future(ask(admission, [LAST], key)),
         ]
         await asyncio.sleep(0.01)
         for headers in ([], key):
-            status, answered, document = await ask(intake, [LAST], headers)
+            status, answered, document = await ask(admission, [LAST], headers)
             assert (status, document["code"], answered[b"retry-after"]) == (429, "too_many_requests", b"1")
         endpoint.release.set()
         assert [(await task)[0] for task in running] == [200, 200, 200]
-        assert (await ask(intake, [LAST]))[0] == 200
+        assert (await ask(admission, [LAST]))[0] == 200
 
     run(scenario)
 
@@ -181,14 +185,14 @@ def test_bytes_of_all_requests_together_are_bounded() -> None:
     async def scenario() -> None:
         """What happens, in the loop."""
         endpoint = Endpoint()
-        intake = Intake(endpoint, limits(held_bytes=1000, in_flight=9))
+        admission = Admission(endpoint, limits(held_bytes=1000, in_flight=9))
         endpoint.release.clear()
-        running = asyncio.ensure_future(ask(intake, [PART] * 8 + [LAST]))
+        running = asyncio.ensure_future(ask(admission, [PART] * 8 + [LAST]))
         await asyncio.sleep(0.01)
-        assert (await ask(intake, [PART] * 8 + [LAST]))[0] == 503
+        assert (await ask(admission, [PART] * 8 + [LAST]))[0] == 503
         endpoint.release.set()
         assert (await running)[0] == 200
-        assert (await ask(intake, [PART] * 8 + [LAST]))[0] == 200
+        assert (await ask(admission, [PART] * 8 + [LAST]))[0] == 200
 
     run(scenario)
 
@@ -202,10 +206,10 @@ def test_a_failure_behind_it_leaves_room() -> None:
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        intake = Intake(broken, limits(in_flight=1, in_flight_per_caller=1, held_bytes=150))
+        admission = Admission(broken, limits(in_flight=1, in_flight_per_caller=1, held_bytes=150))
         for _ in range(3):
             try:
-                await ask(intake, [PART, LAST])
+                await ask(admission, [PART, LAST])
             except RuntimeError:
                 continue
             raise AssertionError("it was answered")

@@ -10,7 +10,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
 from service.transport.connection import PairedWrites
-from tests.wires import FakeTransport, Wire
+from tests.fake_connection import FakeTransport, Wire
 
 
 def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:

@@ -1,7 +1,8 @@
-"""The short way gives the bytes that the long way gives, and leaves everything unusual to it."""
+"""The fast path and the framework's routes give the same bytes, and only the fast path is needed for endpoints."""
 
 import base64
 import gzip
+import io
 import json
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +15,10 @@ from httpx2 import Response
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp
 
+from service.api.open_inference.endpoints import inference_endpoints
+from service.api.v1.endpoints import ENDPOINTS
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
 from service.observability.logs import RequestLog
@@ -23,15 +27,16 @@ from service.observability.telemetry import RequestTelemetry
 from service.registry.registry import Registry
 from service.schemas.contexts import IMAGE_EXAMPLE
 from service.settings import Settings
-from service.transport.admission import Intake, IntakeLimits
+from service.transport.admission import Admission, AdmissionLimits
+from service.transport.endpoints import Endpoints
 from service.transport.fast_path import FastPath
 from service.transport.keys import Keys
-from service.transport.threads import Workers
+from service.transport.threads import ThreadPool
 from tests.fakes import all_fake_models
-from tests.questions import ODD, PUSHER, VISUAL, contexts, numbers, pushes, references
+from tests.request_strategies import ODD, PUSHER, VISUAL, contexts, numbers, pushes, references
 
 PLAIN = {"Content-Type": "application/json"}
-LONG = {"Content-Type": "application/json; charset=utf-8"}  # means the same, and is not worth a place in the short way
+LONG = {"Content-Type": "application/json; charset=utf-8"}  # means the same
 Served = tuple[Registry, LoadedModels]
 
 
@@ -39,6 +44,15 @@ Served = tuple[Registry, LoadedModels]
 def served(tmp_path_factory: pytest.TempPathFactory) -> Served:
     """Fakes of every kind."""
     return all_fake_models(tmp_path_factory.mktemp("models"))
+
+
+LIMITS = AdmissionLimits(1 << 20, 10.0, 8, 0, 1 << 24)
+
+
+def ringed(app: ASGIApp) -> ASGIApp:
+    """An app behind telemetry and admission, without the fast path."""
+    log, metrics = RequestLog(io.StringIO()), RequestMetrics(lambda *_: True)
+    return RequestTelemetry(Admission(app, LIMITS), PlainTextResponse("internal", 500), log, metrics)
 
 
 @pytest.fixture(scope="module")
@@ -50,24 +64,49 @@ def client(served: Served) -> Iterator[TestClient]:
 
 
 @pytest.fixture(scope="module")
-def short_only(served: Served) -> Iterator[TestClient]:
-    """The short way with nothing behind it but a refusal."""
-    workers = Workers(1, 8, 10.0)
-    fast_path = FastPath(PlainTextResponse("the long way", 418), served[1], workers, Keys(None))
-    intake = Intake(fast_path, IntakeLimits(1 << 20, 10.0, 8, 0, 1 << 24))
-    yield TestClient(
-        RequestTelemetry(intake, PlainTextResponse("internal", 500), RequestLog(), RequestMetrics(lambda *_: True))
-    )
-    workers.close()
+def framework(served: Served) -> Iterator[TestClient]:
+    """The app whose requests pass the framework's own routes instead of the fast path."""
+    app = create_app(Settings(poll_interval_s=3600), served[1])
+    app.rings = ringed(app.framework)
+    with TestClient(app, raise_server_exceptions=False) as found:
+        yield found
 
 
-def both_ways(client: TestClient, path: str, content: bytes) -> tuple[Response, Response]:
-    """The same request by the short way and by the long one."""
-    request_id = {"X-Request-ID": "the-same"}
-    short, long = (client.post(path, content=content, headers=kind | request_id) for kind in (PLAIN, LONG))
-    assert short.content == long.content
-    assert (short.status_code, dict(short.headers)) == (long.status_code, dict(long.headers))
-    return short, long
+@pytest.fixture(scope="module")
+def fast_path_only(served: Served) -> Iterator[TestClient]:
+    """The fast path in front of a framework that answers every request with 418."""
+    threads = ThreadPool(1, 8, 10.0)
+    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(1 << 20)), served[1], threads, Keys(None))
+    yield TestClient(ringed(FastPath(PlainTextResponse("the framework", 418), endpoints)))
+    threads.close()
+
+
+Ways = tuple[TestClient, TestClient]
+
+
+@pytest.fixture(scope="module")
+def ways(client: TestClient, framework: TestClient) -> Ways:
+    """Both ways to an answer: the fast path, and the framework's own routes."""
+    return client, framework
+
+
+def same(ways: Ways, path: str, content: bytes, *kinds: dict[str, str]) -> Response:
+    """Send the same request by both ways, declared in each of these ways; all answers must be the same."""
+    responses = [
+        client.post(path, content=content, headers={**kind, "X-Request-ID": "the-same"})
+        for client in ways
+        for kind in kinds
+    ]
+    first = responses[0]
+    for other in responses[1:]:
+        assert other.content == first.content
+        assert (other.status_code, dict(other.headers)) == (first.status_code, dict(first.headers))
+    return first
+
+
+def both_ways(ways: Ways, path: str, content: bytes) -> Response:
+    """Send JSON by both ways, declared in two ways that mean the same."""
+    return same(ways, path, content, PLAIN, LONG)
 
 
 rows = st.lists(st.lists(numbers, min_size=2, max_size=4), max_size=4)
@@ -85,30 +124,30 @@ alike = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], de
 
 @alike
 @given(pushes)
-def test_a_push_gets_the_same_bytes_both_ways(client: TestClient, body: Any) -> None:
+def test_a_push_gets_the_same_bytes_both_ways(ways: Ways, body: Any) -> None:
     """Answers and refusals alike, headers too."""
-    both_ways(client, "/v1/predict", json.dumps(body).encode())
+    both_ways(ways, "/v1/predict", json.dumps(body).encode())
 
 
 @alike
 @given(batches)
-def test_a_batch_gets_the_same_bytes_both_ways(client: TestClient, body: Any) -> None:
+def test_a_batch_gets_the_same_bytes_both_ways(ways: Ways, body: Any) -> None:
     """Answers and refusals alike, headers too."""
-    both_ways(client, "/v1/predict/batch", json.dumps(body).encode())
+    both_ways(ways, "/v1/predict/batch", json.dumps(body).encode())
 
 
 @alike
 @given(st.binary(max_size=60), st.integers(0, 200), st.integers(0, 200))
-def test_broken_bytes_get_the_same_bytes_both_ways(client: TestClient, noise: bytes, start: int, end: int) -> None:
+def test_broken_bytes_get_the_same_bytes_both_ways(ways: Ways, noise: bytes, start: int, end: int) -> None:
     """A good body with a piece replaced by noise."""
     good = json.dumps({"pusher": PUSHER, "context": {"descriptor": "1a2b3c4a"}}).encode()
-    both_ways(client, "/v1/predict", good[:start] + noise + good[end:])
+    both_ways(ways, "/v1/predict", good[:start] + noise + good[end:])
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_what_parsers_disagree_about_gets_the_same_bytes_both_ways(client: TestClient, name: str) -> None:
+def test_what_parsers_disagree_about_gets_the_same_bytes_both_ways(ways: Ways, name: str) -> None:
     """The two ways have two JSON readers; nothing may show it."""
-    both_ways(client, "/v1/predict", ODD[name])
+    both_ways(ways, "/v1/predict", ODD[name])
 
 
 ODD_ROWS = {
@@ -129,30 +168,29 @@ ODD_ROWS = {
 
 
 @pytest.mark.parametrize("name", ODD_ROWS)
-def test_rows_that_parsers_disagree_about_get_the_same_bytes_both_ways(client: TestClient, name: str) -> None:
+def test_rows_that_parsers_disagree_about_get_the_same_bytes_both_ways(ways: Ways, name: str) -> None:
     """The two ways have two JSON readers; nothing may show it."""
-    both_ways(client, "/v1/predict/batch", ODD_ROWS[name])
+    both_ways(ways, "/v1/predict/batch", ODD_ROWS[name])
 
 
 @pytest.mark.parametrize("pushes", [2000, 9000], ids=["read in the loop", "read in a thread"])
-def test_a_long_batch_gets_the_same_bytes_both_ways(client: TestClient, pushes: int) -> None:
-    """The runtime in a thread, by either way."""
+def test_a_long_batch_gets_the_same_bytes_both_ways(ways: Ways, pushes: int) -> None:
+    """The runtime predicts in a thread, by either way."""
     body = {"pushers": [[number / 1e4, 0.0, number] for number in range(pushes)], "contexts": [{"visual": VISUAL}]}
-    short, _ = both_ways(client, "/v1/predict/batch", json.dumps(body).encode())
-    assert short.status_code == 200
+    assert both_ways(ways, "/v1/predict/batch", json.dumps(body).encode()).status_code == 200
 
 
-def test_a_long_inference_gets_the_same_bytes_both_ways(client: TestClient) -> None:
-    """The long way inflates what the short way leaves to it."""
+def test_a_long_inference_gets_the_same_bytes_both_ways(ways: Ways) -> None:
+    """A compressed body gets the answer of the plain one."""
     raw = np.linspace(-0.1, 0.1, 3000, dtype=np.float32).tobytes()
     pusher = {"name": "pusher", "shape": [1000, 3], "datatype": "FP32", "parameters": {"binary_data_size": len(raw)}}
     head = json.dumps({"id": "7", "inputs": [pusher], "parameters": {"binary_data_output": True}}).encode()
-    headers = {"Inference-Header-Content-Length": str(len(head)), "X-Request-ID": "the-same"}
+    headers = {"Inference-Header-Content-Length": str(len(head))}
     path = "/v2/models/push-none/infer"
-    short = client.post(path, content=head + raw, headers=headers)
-    long = client.post(path, content=gzip.compress(head + raw), headers=headers | {"Content-Encoding": "gzip"})
-    assert short.status_code == 200
-    assert (short.content, dict(short.headers)) == (long.content, dict(long.headers))
+    plain = same(ways, path, head + raw, headers)
+    compressed = same(ways, path, gzip.compress(head + raw), headers | {"Content-Encoding": "gzip"})
+    assert plain.status_code == 200
+    assert (plain.content, dict(plain.headers)) == (compressed.content, dict(compressed.headers))
 
 
 IMAGE = base64.b64decode(IMAGE_EXAMPLE)
@@ -197,29 +235,26 @@ UPLOADED: dict[str, tuple[str, dict[str, str], bytes, int]] = {
 
 
 @pytest.mark.parametrize("name", UPLOADED)
-def test_an_upload_gets_the_same_bytes_both_ways(client: TestClient, name: str) -> None:
+def test_an_upload_gets_the_same_bytes_both_ways(ways: Ways, name: str) -> None:
     """Answers and refusals alike, headers too."""
     path, kind, content, status = UPLOADED[name]
-    short, long = (
-        client.post(path, content=content, headers={**kind, "X-Request-ID": "the-same", "Accept": accept})
-        for accept in ("application/json", "application/json;q=1")  # means the same, and is worth a second look
-    )
-    assert short.status_code == status, short.text
-    assert (short.content, dict(short.headers)) == (long.content, dict(long.headers))
+    accepts = ("application/json", "application/json;q=1")  # which mean the same
+    found = same(ways, path, content, *({**kind, "Accept": accept} for accept in accepts))
+    assert found.status_code == status, found.text
 
 
 @pytest.mark.parametrize("name", ["an image", "an image in a form", "a push", "pushes in the world", "half an image"])
-def test_an_upload_needs_no_framework(short_only: TestClient, name: str) -> None:
+def test_an_upload_needs_no_framework(fast_path_only: TestClient, name: str) -> None:
     """Nor does an image that is none: it would be decoded twice."""
     path, kind, content, status = UPLOADED[name]
-    assert short_only.post(path, content=content, headers=kind).status_code == status
+    assert fast_path_only.post(path, content=content, headers=kind).status_code == status
 
 
 BODY = json.dumps({"pusher": PUSHER}).encode()
 
 
-def test_a_plain_prediction_needs_no_framework(short_only: TestClient) -> None:
-    """Push, batch and inference are answered with nothing behind the short way."""
+def test_a_plain_prediction_needs_no_framework(fast_path_only: TestClient) -> None:
+    """Push, batch and inference are answered with nothing behind the fast path."""
     tensor = {"name": "pusher", "shape": [1, 3], "datatype": "FP32", "data": [0.1, 0, 0]}
     asked: dict[str, Any] = {
         "/v1/predict": {"pusher": PUSHER},
@@ -228,40 +263,47 @@ def test_a_plain_prediction_needs_no_framework(short_only: TestClient) -> None:
         "/v2/models/push-none/versions/1/infer": {"inputs": [tensor]},
     }
     for path, body in asked.items():
-        response = short_only.post(path, json=body)
+        response = fast_path_only.post(path, json=body)
         assert response.status_code == 200, (path, response.text)
         assert response.headers["x-request-id"]
 
 
-UNUSUAL: dict[str, tuple[str, dict[str, str], bytes]] = {
-    "another path": ("/v1/predictions", PLAIN, BODY),
-    "no content type": ("/v1/predict", {}, BODY),
-    "another accept": ("/v1/predict", PLAIN | {"Accept": "text/html"}, BODY),
-    "compressed": ("/v1/predict", PLAIN | {"Content-Encoding": "gzip"}, BODY),
-    "a fault": ("/v1/predict", PLAIN, b"{}"),
-    "no JSON": ("/v1/predict", PLAIN, b"{"),
-    "an unknown model": ("/v1/predict", PLAIN, BODY.replace(b"}}", b'}, "model": "nobody"}')),
-    "an unknown version": ("/v2/models/push-none/versions/7/infer", PLAIN, b"{}"),
-    "an upload that asks for another answer": ("/v1/contexts", PNG | {"Accept": "image/png"}, IMAGE),
-    "an upload without its push": ("/v1/predict/image", PNG, IMAGE),
-    "no version": ("/v2/models/push-none/versions/x/infer", PLAIN, b"{}"),
+UNUSUAL: dict[str, tuple[str, dict[str, str], bytes, int]] = {
+    "no content type": ("/v1/predict", {}, BODY, 415),
+    "another accept": ("/v1/predict", PLAIN | {"Accept": "text/html"}, BODY, 406),
+    "compressed": ("/v1/predict", PLAIN | {"Content-Encoding": "gzip"}, BODY, 415),
+    "a fault": ("/v1/predict", PLAIN, b"{}", 422),
+    "no JSON": ("/v1/predict", PLAIN, b"{", 400),
+    "an unknown model": ("/v1/predict", PLAIN, BODY[:-1] + b', "model": "nobody"}', 404),
+    "an unknown version": ("/v2/models/push-none/versions/7/infer", PLAIN, b"{}", 404),
+    "an upload that asks for another answer": ("/v1/contexts", PNG | {"Accept": "image/png"}, IMAGE, 406),
+    "an upload without its push": ("/v1/predict/image", PNG, IMAGE, 422),
+    "no version": ("/v2/models/push-none/versions/x/infer", PLAIN, b"{}", 400),
 }
 
 
 @pytest.mark.parametrize("name", UNUSUAL)
-def test_what_is_unusual_goes_the_long_way(short_only: TestClient, name: str) -> None:
-    """Everything but a plain request that is in order."""
-    path, headers, content = UNUSUAL[name]
-    assert short_only.post(path, content=content, headers=headers).status_code == 418
+def test_a_refusal_needs_no_framework_and_is_the_same_both_ways(
+    ways: Ways, fast_path_only: TestClient, name: str
+) -> None:
+    """A request to an endpoint is read once, whatever its answer is."""
+    path, headers, content, status = UNUSUAL[name]
+    assert fast_path_only.post(path, content=content, headers=headers).status_code == status
+    assert same(ways, path, content, headers).status_code == status
 
 
-def test_other_methods_go_the_long_way(short_only: TestClient) -> None:
+def test_other_paths_go_to_the_framework(fast_path_only: TestClient) -> None:
+    """The fast path answers requests to endpoints only."""
+    assert fast_path_only.post("/v1/predictions", content=BODY, headers=PLAIN).status_code == 418
+
+
+def test_other_methods_go_to_the_framework(fast_path_only: TestClient) -> None:
     """Only POST predicts."""
-    assert short_only.get("/v1/predict").status_code == 418
+    assert fast_path_only.get("/v1/predict").status_code == 418
 
 
-def test_a_key_is_needed_on_the_short_way_too(served: Served, tmp_path: Path) -> None:
-    """Without one the long way is taken, and says so."""
+def test_a_key_is_required_on_the_fast_path_too(served: Served, tmp_path: Path) -> None:
+    """A request without a key is refused."""
     (tmp_path / "keys").write_text("")
     app = create_app(Settings(keys=tmp_path / "keys", poll_interval_s=3600), served[1])
     with TestClient(app) as client:

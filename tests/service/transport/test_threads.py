@@ -7,92 +7,93 @@ from pathlib import Path
 import pytest
 
 from service.errors import DeadlineError, OverloadedError
-from service.transport.threads import Workers, processors, threads_beside_the_loop
+from service.processors import processors
+from service.transport.threads import ThreadPool, threads_beside_the_loop
 
 
 def test_a_function_runs_in_a_thread() -> None:
     """Its result and its errors come back."""
-    workers = Workers(1, 0, 10.0)
+    pool = ThreadPool(1, 0, 10.0)
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        assert await workers.run(threading.current_thread) is not threading.main_thread()
+        assert await pool.run(threading.current_thread) is not threading.main_thread()
         with pytest.raises(ZeroDivisionError):
-            await workers.run(divmod, 1, 0)
+            await pool.run(divmod, 1, 0)
 
     asyncio.run(scenario())
-    workers.close()
+    pool.close()
 
 
 def test_what_does_not_fit_the_queue_is_refused_at_once() -> None:
     """One runs, one waits, the third is told; when they are done there is room again."""
-    workers, release = Workers(1, 1, 10.0), threading.Event()
+    pool, release = ThreadPool(1, 1, 10.0), threading.Event()
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        first, second = (asyncio.ensure_future(workers.run(release.wait)) for _ in range(2))
+        first, second = (asyncio.ensure_future(pool.run(release.wait)) for _ in range(2))
         await asyncio.sleep(0)
         with pytest.raises(OverloadedError):
-            await workers.run(release.wait)
+            await pool.run(release.wait)
         release.set()
         await asyncio.gather(first, second)
-        await workers.run(release.wait)
+        await pool.run(release.wait)
 
     asyncio.run(scenario())
-    workers.close()
+    pool.close()
 
 
 def test_what_waits_too_long_is_told_and_never_begun() -> None:
     """The deadline counts waiting; a thread that is taken stays counted until it is free."""
-    workers, release, begun = Workers(1, 1, 0.05), threading.Event(), threading.Event()
+    pool, release, begun = ThreadPool(1, 1, 0.05), threading.Event(), threading.Event()
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        holding = asyncio.ensure_future(workers.run(release.wait))
+        holding = asyncio.ensure_future(pool.run(release.wait))
         await asyncio.sleep(0)
         with pytest.raises(DeadlineError):
-            await workers.run(begun.set)
+            await pool.run(begun.set)
         with pytest.raises(DeadlineError):
             await holding
 
     asyncio.run(scenario())
     release.set()
-    workers.close()
+    pool.close()
     assert not begun.is_set()
 
 
 def test_who_leaves_takes_along_what_has_not_begun() -> None:
     """A client that hung up is not worked for; what runs for it ends by itself, and is told to nobody."""
-    workers, release, begun = Workers(1, 1, 10.0), threading.Event(), threading.Event()
+    pool, release, begun = ThreadPool(1, 1, 10.0), threading.Event(), threading.Event()
 
     async def scenario() -> None:
         """What happens, in the loop."""
-        tasks = [asyncio.ensure_future(workers.run(work)) for work in (release.wait, begun.set)]
+        tasks = [asyncio.ensure_future(pool.run(work)) for work in (release.wait, begun.set)]
         await asyncio.sleep(0)
         for task in tasks:
             task.cancel()
         await asyncio.wait(tasks)
-        assert workers.jobs == 1
+        assert pool.jobs == 1
         release.set()
-        await workers.run(int)
+        await pool.run(int)
 
     asyncio.run(scenario())
-    workers.close()
+    pool.close()
     assert not begun.is_set()
 
 
 def test_a_thread_that_outlives_the_loop_is_silent(caplog: pytest.LogCaptureFixture) -> None:
     """Its caller was told of the deadline, and the service has ended since."""
-    workers, release = Workers(1, 0, 0.01), threading.Event()
+    pool, release = ThreadPool(1, 0, 0.01), threading.Event()
 
     async def scenario() -> None:
         """What happens, in the loop."""
         with pytest.raises(DeadlineError):
-            await workers.run(release.wait)
+            await pool.run(release.wait)
 
     asyncio.run(scenario())
     release.set()
-    workers.close()
+    pool.close()
     for thread in threading.enumerate():
         if thread.name.startswith("worker"):
             thread.join()

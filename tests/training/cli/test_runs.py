@@ -22,7 +22,7 @@ from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, read_folder
 
 @pytest.fixture(scope="module")
 def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with declared views of all objects; not to be changed."""
+    """Folder with declared views of all objects. Tests must not change it."""
     return write_linked_views(tmp_path_factory.mktemp("drawn") / "views")
 
 

@@ -75,7 +75,7 @@ def digests(folder: Path) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with a small dataset that was simulated in one go on one thread; not to be changed."""
+    """Folder with a small dataset that was simulated in one go on one thread. Tests must not change it."""
     folder = tmp_path_factory.mktemp("simulated")
     simulate_dataset(PLAN, folder, threads=1, quiet=True)
     return folder

@@ -93,8 +93,8 @@ def test_an_angle_is_circular(client: TestClient, turns: int) -> None:
 
 
 FAULTS = {
-    "missing pusher": ({}, "body.pusher", "nothing"),
-    "missing angle": ({"pusher": {"x": 0.0, "y": 0.0}}, "body.pusher.angle", "nothing"),
+    "missing pusher": ({}, "body.pusher", "no value"),
+    "missing angle": ({"pusher": {"x": 0.0, "y": 0.0}}, "body.pusher.angle", "no value"),
     "x as text": ({"pusher": {**PUSHER, "x": "0.5"}}, "body.pusher.x", "a text of 3 characters"),
     "x as truth": ({"pusher": {**PUSHER, "x": True}}, "body.pusher.x", "true or false"),
     "x too far": ({"pusher": {**PUSHER, "x": 1.5}}, "body.pusher.x", "1.5"),
@@ -168,7 +168,7 @@ def test_an_unknown_model_is_a_404_that_lists_what_is_served(client: TestClient)
         b'{"pusher": ' + b"1" * 4000 + b"x}",
         json.dumps({"pusher": PUSHER}).encode("utf-16"),
     ],
-    ids=["nothing", "half", "not UTF-8", "two documents", "lone surrogate", "deep", "long number", "UTF-16"],
+    ids=["no value", "half", "not UTF-8", "two documents", "lone surrogate", "deep", "long number", "UTF-16"],
 )
 def test_what_is_no_json_is_a_malformed_body(client: TestClient, content: bytes) -> None:
     """Whatever it is, it is a 400 with the place of the fault."""

@@ -7,8 +7,8 @@ from starlette.types import ASGIApp
 from uvicorn import Config
 from uvicorn.server import ServerState
 
-from service.transport.connection import BoundedConnection, bounded_connection
-from service.transport.short_way import ShortWay
+from service.transport.connection import BoundedConnection, connection_class
+from service.transport.fast_path import Shortcut
 
 _PATIENCE_TURNS = 5000
 _QUICK_TURNS = 50
@@ -48,12 +48,12 @@ class FakeTransport(asyncio.Transport):
 class Wire:
     """One connection to an app; made and used inside of an event loop."""
 
-    def __init__(self, app: ASGIApp, short_way: ShortWay | None, head_s: float = 3600.0) -> None:
+    def __init__(self, app: ASGIApp, shortcut: Shortcut | None, head_s: float = 3600.0) -> None:
         config = Config(app, log_config=None, access_log=False, proxy_headers=False)
         config.load()
         self.state = ServerState()
         self.transport = FakeTransport()
-        kind = bounded_connection(head_s, lambda code: None, short_way)
+        kind = connection_class(head_s, lambda code: None, shortcut)
         self.connection: BoundedConnection = kind(config, self.state, {})
         self.connection.connection_made(self.transport)
 

@@ -1,4 +1,4 @@
-"""The short way gives the bytes of the long one, however a request arrives, and leaves everything unusual to it."""
+"""The shortcut gives the bytes of the framework, however a request arrives, and leaves unusual heads to it."""
 
 import asyncio
 import io
@@ -9,32 +9,31 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fastapi import FastAPI
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from starlette.responses import PlainTextResponse
 
-from service.api.open_inference.queries import LIGHT_BYTES
-from service.app import create_app
+from service.api.v1.endpoints import SINGLE
+from service.app import Service, create_app
 from service.inference.loaded_models import LoadedModels
 from service.observability.logs import RequestLog
 from service.observability.metrics import RequestMetrics
 from service.observability.telemetry import RequestTelemetry
 from service.settings import Settings
-from service.transport.admission import Intake, IntakeLimits
-from service.transport.connection import LEAVE
-from service.transport.fast_path import FastPath
+from service.transport.admission import Admission, AdmissionLimits
+from service.transport.connection import CLOSE
+from service.transport.endpoints import LIGHT_BYTES, Endpoints
+from service.transport.fast_path import Shortcut
 from service.transport.keys import Keys
-from service.transport.short_way import ShortWay
-from service.transport.threads import Workers
+from service.transport.threads import ThreadPool
+from tests.fake_connection import Wire, post, whole_answers
 from tests.fakes import all_fake_models
-from tests.questions import ODD, PUSHER, pushes
-from tests.wires import Wire, post, whole_answers
+from tests.request_strategies import ODD, PUSHER, pushes
 
-LONG_WAY = PlainTextResponse("the long way", 418)
+FRAMEWORK = PlainTextResponse("the framework", 418)
 SAME = "x-request-id: the-same"
 PLAIN = ("content-type: application/json", SAME)
-LONG = ("content-type: application/json; charset=utf-8", SAME)  # means the same, and is not worth a place here
+LONG = ("content-type: application/json; charset=utf-8", SAME)  # means the same, and is unusual
 BODY = json.dumps({"pusher": PUSHER}).encode()
 FAILING_BODY = json.dumps({"pusher": PUSHER, "model": "push-failing"}).encode()
 alike = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
@@ -54,25 +53,33 @@ def loop() -> Iterator[asyncio.Runner]:
 
 
 @pytest.fixture(scope="module")
-def app(models: LoadedModels) -> FastAPI:
+def app(models: LoadedModels) -> Service:
     """The whole app."""
     return create_app(Settings(poll_interval_s=3600), models, log=RequestLog(io.StringIO()))
 
 
-def wire_to(app: FastAPI) -> Wire:
+def wire_to(app: Service) -> Wire:
     """A connection as the service makes them."""
-    return Wire(app, app.state.short_way)
+    return Wire(app, app.shortcut)
 
 
-def short_only(models: LoadedModels, in_flight: int = 8, keys: Path | None = None) -> ShortWay:
-    """A short way whose long way is somebody else's."""
-    fast_path = FastPath(LONG_WAY, models, Workers(1, 8, 10.0), Keys(keys))
-    intake = Intake(fast_path, IntakeLimits(1 << 20, 10.0, in_flight, 0, 1 << 24))
-    return ShortWay(
-        fast_path,
-        intake,
-        RequestTelemetry(intake, LONG_WAY, RequestLog(io.StringIO()), RequestMetrics(lambda *_: True)),
-    )
+class Buggy(Admission):
+    """An admission with a bug."""
+
+    def check(self, scope: Any) -> None:
+        """Raise an exception that is not of our tree."""
+        raise ZeroDivisionError("the fake has a bug")
+
+
+def shortcut_only(
+    models: LoadedModels, in_flight: int = 8, keys: Path | None = None, admission: type[Admission] = Admission
+) -> Shortcut:
+    """A shortcut whose framework answers every request with 418."""
+    endpoints = Endpoints([SINGLE], models, ThreadPool(1, 8, 10.0), Keys(keys))
+    admitted = admission(FRAMEWORK, AdmissionLimits(1 << 20, 10.0, in_flight, 0, 1 << 24))
+    log = RequestLog(io.StringIO())
+    telemetry = RequestTelemetry(admitted, FRAMEWORK, log, RequestMetrics(lambda *_: True))
+    return Shortcut(SINGLE, endpoints, admitted, telemetry)
 
 
 def asked(loop: asyncio.Runner, wire: Callable[[], Wire], *pieces: bytes, answers: int = 1) -> bytes:
@@ -95,7 +102,7 @@ def status(answer: bytes) -> int:
 
 @alike
 @given(pushes)
-def test_a_push_gets_the_same_bytes_both_ways(loop: asyncio.Runner, app: FastAPI, body: Any) -> None:
+def test_a_push_gets_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service, body: Any) -> None:
     """The whole answer as it leaves, head and body, of answers and refusals alike."""
     content = json.dumps(body).encode()
     short, long = (asked(loop, lambda: wire_to(app), post("/v1/predict", content, kind)) for kind in (PLAIN, LONG))
@@ -104,7 +111,7 @@ def test_a_push_gets_the_same_bytes_both_ways(loop: asyncio.Runner, app: FastAPI
 
 
 @pytest.mark.parametrize("name", ODD)
-def test_odd_bodies_get_the_same_bytes_both_ways(loop: asyncio.Runner, app: FastAPI, name: str) -> None:
+def test_odd_bodies_get_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service, name: str) -> None:
     """A model that fails among them, which shows at the end of the turn only."""
     short, long = (asked(loop, lambda: wire_to(app), post("/v1/predict", ODD[name], kind)) for kind in (PLAIN, LONG))
     assert short == long
@@ -113,7 +120,7 @@ def test_odd_bodies_get_the_same_bytes_both_ways(loop: asyncio.Runner, app: Fast
 @alike
 @given(st.lists(st.sampled_from([BODY, FAILING_BODY, b"{}"]), min_size=1, max_size=4), st.data())
 def test_however_requests_are_cut_and_crowded_each_gets_its_answer_in_order(
-    loop: asyncio.Runner, app: FastAPI, bodies: list[bytes], data: st.DataObject
+    loop: asyncio.Runner, app: Service, bodies: list[bytes], data: st.DataObject
 ) -> None:
     """A network may cut anywhere, and a client need not wait for an answer before it asks again."""
     said = b"".join(post("/v1/predict", body, PLAIN) for body in bodies)
@@ -131,7 +138,7 @@ def test_a_plain_push_needs_no_application(loop: asyncio.Runner, models: LoadedM
 
     async def run() -> bytes:
         """Ask twice, waiting for the answer."""
-        wire = Wire(LONG_WAY, short_only(models))
+        wire = Wire(FRAMEWORK, shortcut_only(models))
         for answers in (1, 2):
             wire.say(post("/v1/predict", BODY))
             await wire.heard(answers)
@@ -140,10 +147,10 @@ def test_a_plain_push_needs_no_application(loop: asyncio.Runner, models: LoadedM
     assert [status(answer) for answer in whole_answers(loop.run(run()))] == [200, 200]
 
 
-def test_a_client_that_does_not_wait_goes_the_long_way_from_then_on(loop: asyncio.Runner, models: LoadedModels) -> None:
+def test_a_client_that_does_not_await_answers_loses_the_shortcut(loop: asyncio.Runner, models: LoadedModels) -> None:
     """It could hold the loop with all that it sends in one go."""
     said = post("/v1/predict", BODY) * 3
-    heard = asked(loop, lambda: Wire(LONG_WAY, short_only(models)), said, answers=3)
+    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models)), said, answers=3)
     assert [status(answer) for answer in whole_answers(heard)] == [200, 418, 418]
 
 
@@ -163,46 +170,55 @@ UNUSUAL = {
     "chunks": CHUNKED % (TYPE.encode(), len(BODY), BODY),
     "nothing": post("/v1/predict", b""),
     "much": post("/v1/predict", BODY + b" " * LIGHT_BYTES),
-    "a fault": post("/v1/predict", b"{}"),
-    "no JSON": post("/v1/predict", b"{"),
     "an image": post("/v1/predict", b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"image": "AAAA"}}'),
-    "a failing model": post("/v1/predict", FAILING_BODY),
+}
+REFUSED = {
+    "a fault": (post("/v1/predict", b"{}"), 422),
+    "no JSON": (post("/v1/predict", b"{"), 400),
+    "an unknown model": (post("/v1/predict", BODY[:-1] + b', "model": "nobody"}'), 404),
+    "a failing model": (post("/v1/predict", FAILING_BODY[:-1] + b', "context": {"descriptor": "1a2b3c4a"}}'), 500),
+    "another kind of context": (post("/v1/predict", FAILING_BODY), 422),
 }
 
 
 @pytest.mark.parametrize("name", UNUSUAL)
-def test_what_is_unusual_goes_the_long_way(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
-    """Everything but a plain request for one push that is in order."""
-    heard = asked(loop, lambda: Wire(LONG_WAY, short_only(models)), UNUSUAL[name])
+def test_an_unusual_request_goes_to_the_framework(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
+    """Only a plain request for one push is answered by the shortcut."""
+    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models)), UNUSUAL[name])
     answer = heard.removeprefix(b"HTTP/1.1 100 Continue\r\n\r\n")
     assert status(answer) == 418
 
 
-def test_a_full_service_refuses_as_the_long_way_does(loop: asyncio.Runner, models: LoadedModels) -> None:
-    """The limit of requests in flight holds for those that would never be in flight."""
-    assert (
-        status(asked(loop, lambda: Wire(LONG_WAY, short_only(models, in_flight=0)), post("/v1/predict", BODY))) == 418
-    )
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_plain_push_that_is_refused_needs_no_framework(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
+    """A plain single push is read once, also where the answer is a problem."""
+    said, expected = REFUSED[name]
+    assert status(asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models)), said)) == expected
 
 
-def test_a_request_without_its_key_goes_the_long_way(
-    loop: asyncio.Runner, models: LoadedModels, tmp_path: Path
-) -> None:
-    """Which says what is missing."""
+def test_a_full_service_refuses_single_pushes_too(loop: asyncio.Runner, models: LoadedModels) -> None:
+    """The limit of requests in flight holds for requests that would never count as in flight."""
+    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models, in_flight=0)), post("/v1/predict", BODY))
+    assert status(heard) == 503
+
+
+def test_a_request_without_its_key_is_refused(loop: asyncio.Runner, models: LoadedModels, tmp_path: Path) -> None:
+    """The shortcut checks the key once, and names the missing header."""
     (tmp_path / "keys").write_text("")
-    short_way = short_only(models, keys=tmp_path / "keys")
-    assert status(asked(loop, lambda: Wire(LONG_WAY, short_way), post("/v1/predict", BODY))) == 418
+    shortcut = shortcut_only(models, keys=tmp_path / "keys")
+    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut), post("/v1/predict", BODY))
+    assert status(heard) == 401
+    assert b"header Authorization" in heard
 
 
-def test_a_bug_of_the_short_way_is_logged_and_costs_nobody_an_answer(
+def test_a_bug_of_the_shortcut_is_logged_and_answered_with_a_500(
     loop: asyncio.Runner, models: LoadedModels, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """The long way is asked instead."""
-    short_way = short_only(models)
-    short_way._intake = None  # type: ignore[assignment]  # so that asking it raises AttributeError
-    heard = asked(loop, lambda: Wire(LONG_WAY, short_way), post("/v1/predict", BODY))
-    assert status(heard) == 418
-    assert "the short way failed" in caplog.text
+    """The client gets a problem, and the log the exception under its request id."""
+    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models, admission=Buggy)), post("/v1/predict", BODY))
+    assert status(heard) == 500
+    assert b"ZeroDivisionError" not in heard
+    assert "the fake has a bug" in caplog.text
 
 
 def test_a_request_that_is_late_is_handed_over_to_be_refused(loop: asyncio.Runner, models: LoadedModels) -> None:
@@ -210,7 +226,7 @@ def test_a_request_that_is_late_is_handed_over_to_be_refused(loop: asyncio.Runne
 
     async def run() -> bytes:
         """Say a half, and nothing more."""
-        wire = Wire(LONG_WAY, short_only(models), head_s=0.0)
+        wire = Wire(FRAMEWORK, shortcut_only(models), head_s=0.0)
         wire.say(post("/v1/predict", BODY)[:-5])
         return await wire.heard(1)
 
@@ -221,7 +237,7 @@ def test_a_client_that_leaves_in_the_middle_is_logged(
     loop: asyncio.Runner, models: LoadedModels, caplog: pytest.LogCaptureFixture
 ) -> None:
     """As on the long way: its status is 0."""
-    caplog.set_level(logging.INFO, "service.observability.telemetry")
+    caplog.set_level(logging.INFO, "service.requests")
     stream = io.StringIO()
     log = RequestLog(stream)
     app = create_app(Settings(), models, log=log)
@@ -238,7 +254,7 @@ def test_a_client_that_leaves_in_the_middle_is_logged(
     assert [json.loads(line)["status"] for line in stream.getvalue().splitlines()] == [0]
 
 
-def test_a_client_that_leaves_before_its_answer_disturbs_nobody(loop: asyncio.Runner, app: FastAPI) -> None:
+def test_a_client_that_leaves_before_its_answer_disturbs_nobody(loop: asyncio.Runner, app: Service) -> None:
     """Whether the model answers or fails, the others of the turn get theirs."""
 
     async def run() -> list[bytes]:
@@ -257,7 +273,7 @@ def test_a_client_that_leaves_before_its_answer_disturbs_nobody(loop: asyncio.Ru
 
 
 @pytest.mark.parametrize("cut", [0, 5], ids=["whole", "half"])
-def test_what_has_come_when_the_doors_close_is_answered(loop: asyncio.Runner, app: FastAPI, cut: int) -> None:
+def test_what_has_come_when_the_doors_close_is_answered(loop: asyncio.Runner, app: Service, cut: int) -> None:
     """As the last on its connection, where the client can still be told so."""
 
     async def run() -> bytes:
@@ -274,13 +290,13 @@ def test_what_has_come_when_the_doors_close_is_answered(loop: asyncio.Runner, ap
     assert (b"connection: close" in heard) is (cut > 0)
 
 
-def test_a_service_that_is_to_end_says_so_with_every_answer(loop: asyncio.Runner, app: FastAPI) -> None:
+def test_a_service_that_is_to_end_says_so_with_every_answer(loop: asyncio.Runner, app: Service) -> None:
     """The long way closes the connection after it."""
 
     async def run() -> tuple[bytes, bool]:
         """Ask while it drains."""
         wire = wire_to(app)
-        wire.state.default_headers = [LEAVE]
+        wire.state.default_headers = [CLOSE]
         wire.say(post("/v1/predict", BODY, PLAIN))
         return await wire.heard(1), wire.transport.closed
 
@@ -289,11 +305,11 @@ def test_a_service_that_is_to_end_says_so_with_every_answer(loop: asyncio.Runner
     assert closed
 
 
-def test_with_a_ring_around_all_requests_there_is_no_short_way(models: LoadedModels) -> None:
+def test_with_a_ring_around_all_requests_there_is_no_shortcut(models: LoadedModels) -> None:
     """Spans would miss those that take it."""
 
     def ring(app: Any) -> Any:
         """Another app."""
         return lambda *asgi: app(*asgi)
 
-    assert create_app(Settings(), models, trace=ring).state.short_way is None
+    assert create_app(Settings(), models, trace=ring).shortcut is None

@@ -1,0 +1,37 @@
+"""Routes of the framework for endpoints: they document an endpoint, and answer as the fast path does."""
+
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+from fastapi import Request, Response
+from fastapi.routing import APIRoute
+
+from service.api.dependencies import parts_of
+from service.observability.records import record_of
+from service.transport.endpoints import HttpRequest
+from service.transport.fast_path import note_answer
+
+
+class EndpointRoute(APIRoute):
+    """A route whose function is documentation: its signature, its docstring and its responses are in the OpenAPI document.
+
+    The fast path in front of the framework answers its requests. One that reaches the framework all the same is answered
+    by the same endpoint.
+    """
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return a handler that answers with the endpoint of the route's path."""
+
+        async def answer(request: Request) -> Response:
+            """Answer one request."""
+            endpoints, scope = parts_of(request).endpoints, request.scope
+            found = endpoints.find(scope["path"])
+            if found is None:
+                raise LookupError(f"{self.path} has no endpoint")
+            endpoint, parameters = found
+            answer = await endpoints.answer(endpoint, HttpRequest(scope["headers"], await request.body(), parameters))
+            note_answer(record_of(scope), answer)
+            headers = {name.decode(): value.decode() for name, value in answer.headers}
+            return Response(answer.content, headers=headers)
+
+        return answer

@@ -1,0 +1,77 @@
+"""The endpoints of the Open Inference Protocol. Bodies may come compressed, as gzip or deflate."""
+
+import zlib
+from functools import partial
+from typing import Final
+
+from service.api.open_inference.queries import InferRequest, ask_inference, parse_reference
+from service.api.open_inference.wire import LENGTH_HEADER
+from service.errors import BodyTooLargeError, MalformedBodyError, UnsupportedMediaTypeError
+from service.transport.endpoints import LIGHT_BYTES, Endpoint, Headers, HttpRequest, Weight, header
+
+MODEL_PATH: Final = "/v2/models/{name}/infer"
+VERSION_PATH: Final = "/v2/models/{name}/versions/{version}/infer"
+_WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
+
+
+def inference_endpoints(max_body_bytes: int) -> tuple[Endpoint[InferRequest], ...]:
+    """Return the endpoints for champions and for versions; a decompressed body may have so many bytes."""
+    return tuple(
+        Endpoint(
+            path,
+            check=_check_nothing,
+            read=partial(_read, max_body_bytes),
+            ask=ask_inference,
+            weigh=lambda _: Weight.LIGHT,  # few contexts fit into a body that the event loop reads
+            is_read_quickly=_is_read_quickly,
+        )
+        for path in (MODEL_PATH, VERSION_PATH)
+    )
+
+
+def inflate(content: bytes, encoding: str, limit: int) -> bytes:
+    """Decompress a body, up to a limit of bytes.
+
+    Raises:
+        UnsupportedMediaTypeError: the encoding is not gzip or deflate.
+        MalformedBodyError: the body is not one whole stream of that encoding.
+        BodyTooLargeError: the decompressed body is over the limit.
+    """
+    bits = _WINDOW_BITS.get(encoding.strip().lower())
+    if bits is None:
+        raise UnsupportedMediaTypeError(
+            "header Content-Encoding: received another encoding; accepted is gzip or deflate"
+        )
+    stream = zlib.decompressobj(bits)
+    try:
+        found = stream.decompress(content, limit + 1)
+    except zlib.error as error:
+        raise MalformedBodyError("body: received bytes of another encoding than Content-Encoding declares") from error
+    if len(found) > limit:
+        raise BodyTooLargeError(limit)
+    if not stream.eof or stream.unused_data:
+        raise MalformedBodyError("body: received half a stream, or more than one; accepted is one whole stream")
+    return found
+
+
+def _check_nothing(_: Headers) -> None:
+    """Accept any headers: the protocol's clients send several content types."""
+
+
+def _encoding(headers: Headers) -> str | None:
+    """Return the encoding of a compressed body; None for a plain one."""
+    encoding = (header(headers, b"content-encoding") or b"identity").decode("latin-1")
+    return None if encoding.lower() == "identity" else encoding
+
+
+def _is_read_quickly(request: HttpRequest) -> bool:
+    return len(request.content) <= LIGHT_BYTES and _encoding(request.headers) is None
+
+
+def _read(max_body_bytes: int, request: HttpRequest) -> InferRequest:
+    content, encoding = request.content, _encoding(request.headers)
+    if encoding is not None:
+        content = inflate(content, encoding, max_body_bytes)
+    reference = parse_reference(request.parameters["name"], request.parameters.get("version"))
+    length = header(request.headers, LENGTH_HEADER)
+    return InferRequest(reference, None if length is None else length.decode("latin-1"), content)

@@ -1,0 +1,132 @@
+"""The endpoints of ``/v1``: how their requests are checked, read, weighed and asked."""
+
+from typing import Final
+
+from starlette.datastructures import Headers as HeadersByName
+
+from service.api.v1.queries import ImageRequest, ask_batch, ask_image, ask_single, describe_view
+from service.api.v1.uploads import Upload, read_upload
+from service.errors import NotAcceptableError, UnsupportedMediaTypeError
+from service.schemas.body import parse_body, parse_json, validate_body
+from service.schemas.pushes import BatchRequest, PredictRequest
+from service.transport.endpoints import LIGHT_BYTES, Endpoint, Headers, HttpRequest, Weight, header
+
+LIGHT_CONTEXTS: Final = 256  # encoded in the event loop
+LIGHT_BATCH_BYTES: Final = 64 * 1024  # 1,000 pushes: read in a tenth of the time that the runtime takes for them
+_JSON: Final = b"application/json"
+_JSON_RANGES: Final = frozenset(("*/*", "application/*", "application/json"))
+_NO_WEIGHTS: Final = frozenset(("q=0", "q=0.0", "q=0.00", "q=0.000"))
+
+
+def check_accept(headers: Headers) -> None:
+    """Accept a request whose answer may be JSON.
+
+    Raises:
+        NotAcceptableError: its Accept header excludes JSON.
+    """
+    accept = header(headers, b"accept")
+    if accept is None or accept in (b"*/*", _JSON):
+        return
+    for part in accept.decode("latin-1").split(","):
+        media_range, *parameters = (text.strip().lower() for text in part.split(";"))
+        if media_range in _JSON_RANGES and not any(text.replace(" ", "") in _NO_WEIGHTS for text in parameters):
+            return
+    raise NotAcceptableError
+
+
+def check_plain(headers: Headers) -> None:
+    """Accept a request with a plain body, whose answer may be JSON.
+
+    Raises:
+        NotAcceptableError: see ``check_accept``.
+        UnsupportedMediaTypeError: the body is compressed.
+    """
+    check_accept(headers)
+    if header(headers, b"content-encoding") is not None:
+        raise UnsupportedMediaTypeError(
+            "header Content-Encoding: received a compressed body; accepted is a plain body without this header"
+        )
+
+
+def check_json(headers: Headers) -> None:
+    """Accept a request with a body in JSON, whose answer may be JSON.
+
+    Raises:
+        NotAcceptableError, UnsupportedMediaTypeError: see ``check_plain``, and for bodies that are not declared as JSON.
+    """
+    check_plain(headers)
+    content_type = header(headers, b"content-type")
+    if content_type != _JSON and not _is_json((content_type or b"").decode("latin-1")):
+        raise UnsupportedMediaTypeError(
+            "header Content-Type: received another type or none; accepted is application/json"
+        )
+
+
+def _is_json(content_type: str) -> bool:
+    media_type = content_type.partition(";")[0].strip().lower()
+    return media_type == "application/json" or (media_type.startswith("application/") and media_type.endswith("+json"))
+
+
+def _read_single(request: HttpRequest) -> PredictRequest:
+    return parse_body(PredictRequest, request.content)
+
+
+def _read_batch(request: HttpRequest) -> BatchRequest:
+    return validate_body(BatchRequest, parse_json(request.content))  # faster than one pass for long columns
+
+
+def _read_upload(request: HttpRequest) -> Upload:
+    return read_upload(HeadersByName(raw=list(request.headers)), request.content)
+
+
+def _read_image_request(request: HttpRequest) -> ImageRequest:
+    upload = _read_upload(request)
+    if "pushers" in upload.fields:
+        return ImageRequest(validate_body(BatchRequest, upload.fields), upload.image)
+    return ImageRequest(validate_body(PredictRequest, upload.fields), upload.image)
+
+
+def _weigh_single(request: PredictRequest) -> Weight:
+    has_image = request.context is not None and request.context.image is not None
+    return Weight.HEAVY if has_image else Weight.SINGLE
+
+
+def _weigh_batch(request: BatchRequest) -> Weight:
+    contexts = request.contexts or ()
+    is_light = len(contexts) <= LIGHT_CONTEXTS and all(context.image is None for context in contexts)
+    return Weight.LIGHT if is_light else Weight.HEAVY
+
+
+SINGLE: Final = Endpoint(
+    "/v1/predict",
+    check=check_json,
+    read=_read_single,
+    ask=ask_single,
+    weigh=_weigh_single,
+    is_read_quickly=lambda request: len(request.content) <= LIGHT_BYTES,
+)
+BATCH: Final = Endpoint(
+    "/v1/predict/batch",
+    check=check_json,
+    read=_read_batch,
+    ask=ask_batch,
+    weigh=_weigh_batch,
+    is_read_quickly=lambda request: len(request.content) <= LIGHT_BATCH_BYTES,
+)
+IMAGE: Final = Endpoint(
+    "/v1/predict/image",
+    check=check_plain,
+    read=_read_image_request,
+    ask=ask_image,
+    weigh=lambda _: Weight.HEAVY,
+    is_read_quickly=lambda _: False,
+)
+CONTEXTS: Final = Endpoint(
+    "/v1/contexts",
+    check=check_plain,
+    read=lambda request: _read_upload(request).image,
+    ask=describe_view,
+    weigh=lambda _: Weight.HEAVY,
+    is_read_quickly=lambda _: False,
+)
+ENDPOINTS: Final = (SINGLE, BATCH, IMAGE, CONTEXTS)
