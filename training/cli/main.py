@@ -18,7 +18,7 @@ def main() -> None:
     cazsl-train simulate                        62,500 pushes of 250 objects on ABS, 2,500 of 10 on plywood
     cazsl-train data check FOLDER               is this copy of Omnipush fit to train on?
     cazsl-train images --camera                 top-down views of the objects as a camera would see them
-    cazsl-train fit push-indicator              the served model into runs/push-indicator; the paper's: fit paper
+    cazsl-train fit push-indicator              the served model into runs/push-indicator (fit paper: the paper's)
     cazsl-train evaluate runs/push-indicator    its figures on held-out objects
     cazsl-train publish runs/push-indicator     the next version of models/push-indicator
     cazsl-train reproduce --all                 every table of the paper, beside the paper's own figures

@@ -52,7 +52,7 @@ def reproduce(folder: Path, **options: Any) -> None:
     """Rebuild tables of the paper beside the paper's own figures.
 
     \b
-    gaussian-process     the regression of section IV-A; draws its own data
+    gaussian-process     the regression of section IV-A, with data of its own
     different-objects    200 objects to train on, 50 others to test on
     different-surfaces   ABS to train on, plywood (the folder beside --data) to test on
     different-weights    objects with 0, 1 or 2 weights to test on, the others to train on
@@ -70,7 +70,7 @@ def reproduce(folder: Path, **options: Any) -> None:
     except ValueError as error:
         raise click.UsageError(str(error)) from error
     executor = choose_executor(wanted.jobs or default_jobs(), wanted.ray_address)
-    from training.paper import rebuild, report  # slow to import, as matplotlib is; no other command needs them
+    from training.paper import rebuild, report  # slow to import, as matplotlib is
 
     for path in rebuild.rebuild_tables(wanted, executor):
         click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")

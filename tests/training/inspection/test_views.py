@@ -56,7 +56,7 @@ def huge(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("damage", "says"),
+    ("damage", "fault"),
     [
         pytest.param(saved(np.zeros((32, 32))), "(32, 32); expected (481, 481)", id="another size"),
         pytest.param(saved(np.zeros((481, 481, 3), np.uint8)), "(481, 481, 3); expected (481, 481)", id="colours"),
@@ -71,7 +71,7 @@ def huge(path: Path) -> None:
         pytest.param(huge, "at most", id="huge"),
     ],
 )
-def test_a_broken_view_is_named(folder: Path, damage: Callable[[Path], object], says: str) -> None:
+def test_a_broken_view_is_named(folder: Path, damage: Callable[[Path], object], fault: str) -> None:
     """A broken view is an error that names the file, as a visual model would be trained on it."""
     path = folder / VIEWS_FOLDER / "2_weight" / f"shape_{FIRST}.npy"
     path.unlink()
@@ -80,7 +80,7 @@ def test_a_broken_view_is_named(folder: Path, damage: Callable[[Path], object], 
     (finding,) = odd_views(find_views([folder]), quiet=True)
     assert finding.severity is Severity.ERROR
     assert str(path) in finding.message
-    assert says in finding.message
+    assert fault in finding.message
 
 
 def test_two_views_of_one_object_are_named(folder: Path) -> None:

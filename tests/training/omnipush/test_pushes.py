@@ -256,7 +256,7 @@ def zipped() -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("damage", "file", "says"),
+    ("damage", "file", "fault"),
     [
         pytest.param(removed(FIRST_Y), FIRST_Y, "is missing beside", id="missing outcome file"),
         pytest.param(edited(FIRST_X, lambda c: c[:-1]), FIRST_X, "not a complete .npy file", id="a byte short"),
@@ -291,7 +291,7 @@ def zipped() -> bytes:
     ],
 )
 def test_a_damaged_folder_is_refused_by_file(
-    folder: Path, damage: Callable[[Path], None], file: str, says: str
+    folder: Path, damage: Callable[[Path], None], file: str, fault: str
 ) -> None:
     """The error about a damaged file names it and the damage."""
     damage(folder)
@@ -300,7 +300,7 @@ def test_a_damaged_folder_is_refused_by_file(
         read_folder(folder)
 
     assert file in str(caught.value)
-    assert says in str(caught.value)
+    assert fault in str(caught.value)
 
 
 @pytest.mark.parametrize("wrapped", [True, False], ids=["inside an npy", "bare"])
