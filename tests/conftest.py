@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.clusters import ENVIRONMENT, TwoNodes
+from tests.ray_cluster import ENVIRONMENT, TwoNodes
 
 ROOT = Path(__file__).resolve().parent.parent
 

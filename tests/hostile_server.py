@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
-from tests.serving import PATIENCE_S
+from tests.running_service import PATIENCE_S
 
 Reply = Sequence[bytes]
 """Parts that are sent one by one with a pause between them. An empty sequence closes the connection at once."""

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.serving import ROOT, is_ready, rss_mib, serve
+from tests.running_service import ROOT, is_ready, rss_mib, serve
 
 CORPUS = sorted((ROOT / "tests" / "attacks" / "http").glob("*.http"))
 BODY = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'

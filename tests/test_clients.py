@@ -18,7 +18,7 @@ from tritonclient.utils import InferenceServerException
 
 from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry
-from tests.serving import ROOT, serve
+from tests.running_service import ROOT, serve
 
 KSERVE = os.environ.get("KSERVE_PYTHON")
 

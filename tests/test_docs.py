@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from service import errors
-from tests.documented import listed_errors
-from tests.serving import ROOT, serve
+from tests.documented_api import listed_errors
+from tests.running_service import ROOT, serve
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)

@@ -21,8 +21,8 @@ from service.model.predictor import OnnxPredictor
 from service.registry.registry import Registry
 from service.schemas.contexts import IMAGE_EXAMPLE
 from service.settings import Settings
-from tests.documented import Json, document, examples_of
-from tests.serving import ROOT
+from tests.documented_api import Json, document, examples_of
+from tests.running_service import ROOT
 
 OPERATIONS = [
     (method, path, operation)

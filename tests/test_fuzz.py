@@ -24,7 +24,8 @@ from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.registry.registry import Registry
 from service.settings import Settings
-from tests.meaning import (
+from tests.running_service import ROOT
+from tests.valid_bodies import (
     is_lost_in_a_form,
     mean_a_file,
     mean_an_inference,
@@ -33,7 +34,6 @@ from tests.meaning import (
     mean_one_push,
     picture,
 )
-from tests.serving import ROOT
 
 REQUESTS = int(os.environ.get("CAZSL_FUZZ_REQUESTS", "5000"))
 GROWTH_MIB = 96.0
@@ -68,7 +68,7 @@ MEANINGS: dict[str, Callable[[dict[str, Any]], None]] = {
 def test_every_answer_is_as_documented(case: schemathesis.Case[Any]) -> None:
     """Statuses, types, schemas, methods, what is taken and what is refused: all checks for all operations.
 
-    What no schema says of the fields of a prediction together is made true first; see ``tests.meaning``.
+    What no schema says of the fields of a prediction together is made true first; see ``tests.valid_bodies``.
     """
     mean = MEANINGS.get(case.operation.path)
     if case.meta is not None and case.meta.generation.mode.is_negative:

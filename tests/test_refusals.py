@@ -28,9 +28,9 @@ from service.transport.endpoints import LIGHT_BYTES, LIGHT_PUSHES
 from service.transport.head_clock import MAX_HEAD_BYTES
 from service.transport.keys import Grant, Scope
 from service.transport.threads import threads_beside_the_loop
-from tests.documented import Json, document, examples_of, listed_errors
+from tests.documented_api import Json, document, examples_of, listed_errors
 from tests.fakes import BUGGY, FAILING, Gate, load_fake, publish_fake
-from tests.serving import PATIENCE_S, ROOT, serve_in_thread
+from tests.running_service import PATIENCE_S, ROOT, serve_in_thread
 
 JSON = {"Content-Type": "application/json"}
 PUSH = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}}

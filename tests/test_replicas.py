@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from service.registry.registry import Registry
-from tests.serving import PATIENCE_S, ROOT, free_port, wait_until
+from tests.running_service import PATIENCE_S, ROOT, free_port, wait_until
 
 NAME = "push-indicator"
 BODY = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 
 from service.registry.registry import Registry
-from tests.serving import PATIENCE_S, free_port, is_ready, wait_until
+from tests.running_service import PATIENCE_S, free_port, is_ready, wait_until
 
 BODY = json.dumps({"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}).encode()
 JSON = {"Content-Type": "application/json"}

@@ -19,7 +19,7 @@ from service.bulk.executors import (
     choose_executor,
 )
 from service.errors import FieldFault, InvalidRequestError, WorkforceError
-from tests.clusters import TwoNodes, ended, wait_for
+from tests.ray_cluster import TwoNodes, ended, wait_for
 
 
 def power(exponent: int) -> Callable[[int], int]:

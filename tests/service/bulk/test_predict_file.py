@@ -18,7 +18,7 @@ from service.cli.main import main
 from service.client import Client
 from service.model.tensors import ContextKind
 from service.registry.registry import Registry
-from tests.clusters import NodeLossExecutor, TwoNodes
+from tests.ray_cluster import NodeLossExecutor, TwoNodes
 
 ROWS = 9 * CHUNK_ROWS + 17
 OBJECTS = np.array([f"{a}a{b}b4c1a" for a in "1234" for b in "1234"])

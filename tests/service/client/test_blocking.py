@@ -25,7 +25,7 @@ from service.client import (
 from service.client.base import MAX_ANSWER_BYTES
 from service.transport.keys import Grant, Scope
 from tests.hostile_server import Reply, hostile, reply
-from tests.serving import PATIENCE_S, ROOT, free_port, serve
+from tests.running_service import PATIENCE_S, ROOT, free_port, serve
 
 PUSHERS = np.random.default_rng(0).uniform(-0.1, 0.1, (300, 3))
 OBJECT = "1a2b3c4a"

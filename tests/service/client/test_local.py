@@ -14,7 +14,7 @@ from PIL import Image
 from service.client import Client, ProblemError
 from service.client.local import InProcess
 from service.errors import ModelNotReadyError, RegistryError
-from tests.serving import PATIENCE_S, serve
+from tests.running_service import PATIENCE_S, serve
 
 PUSHER = {"x": -0.075, "y": 0.003, "angle": 0.1}
 CONTEXT = {"descriptor": "1a2b3c4a"}

@@ -14,7 +14,7 @@ from PIL import Image
 from service.errors import ImageTooLargeError, InvalidImageError, RequestError
 from service.pushing.image_files import ImageLimits, exif_orientation, read_image_file
 from service.pushing.images import decode
-from tests.attacks.images import COSTLY_METADATA, HOSTILE, jpeg_with, picture, png_with, webp_canvas
+from tests.attacks.hostile_images import COSTLY_METADATA, HOSTILE, jpeg_with, picture, png_with, webp_canvas
 
 FORMATS = ("PNG", "JPEG", "WEBP")
 PIECE = 1 << 16  # bytes of coded data that are searched at once
@@ -51,7 +51,7 @@ def test_refusing_the_worst_files_takes_little_memory(project_root: Path) -> Non
 import resource
 from service.errors import RequestError
 from service.pushing.images import decode
-from tests.attacks.images import COSTLY_METADATA, HOSTILE, picture
+from tests.attacks.hostile_images import COSTLY_METADATA, HOSTILE, picture
 decode(picture("PNG")), decode(picture("JPEG")), decode(picture("WEBP"))
 files = [make() for make, _ in HOSTILE.values()] + [make() for make in COSTLY_METADATA.values()]
 before = int(open("/proc/self/statm").read().split()[1])

@@ -26,7 +26,7 @@ from service.pushing.images import (
     decode,
     visual_context,
 )
-from tests.attacks.images import png, png_chunk
+from tests.attacks.hostile_images import png, png_chunk
 
 Grey = npt.NDArray[np.uint8]
 # How a camera that says so has stored a picture whose corners are 0 1 above and 2 3 below.

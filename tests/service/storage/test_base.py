@@ -12,8 +12,8 @@ from service.errors import BrokenModelError, ConflictError, InUseError, Registry
 from service.model.reference import ModelReference
 from service.registry.location import open_registry
 from service.registry.registry import NOWHERE, Registry
-from tests.buckets import BUCKET, Server, running_server
 from tests.fakes import draft_manifest, publish_fake
+from tests.s3_server import BUCKET, Server, running_server
 
 NAME = "push-indicator"
 

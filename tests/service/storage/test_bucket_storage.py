@@ -16,8 +16,8 @@ from service.inference.loaded_models import LoadedModels
 from service.model.reference import ModelReference
 from service.registry.location import open_registry
 from service.registry.registry import Registry
-from tests.buckets import BUCKET, Server, running_server
 from tests.fakes import load_fake, publish_fake
+from tests.s3_server import BUCKET, Server, running_server
 
 NAME = "push-indicator"
 LOCATION = f"s3://{BUCKET}/models"

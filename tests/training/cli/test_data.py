@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.training.command_line import cazsl_train, sole_line
-from tests.training.copies import SOURCE, write_surface, write_views
 from tests.training.pickle_trap import PickleTrap
+from tests.training.synthetic_omnipush import SOURCE, write_surface, write_views
 from training.omnipush.published import different_surfaces
 from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, read_folder
 

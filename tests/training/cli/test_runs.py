@@ -10,7 +10,7 @@ from service.model.tensors import ContextKind
 from service.pushing.images import IMAGE_CONVENTION
 from service.registry.registry import Registry
 from tests.training.command_line import cazsl_train, sole_line
-from tests.training.copies import write_linked_views
+from tests.training.synthetic_omnipush import write_linked_views
 from training.fitting.evaluation import evaluate
 from training.fitting.recipe import Recipe
 from training.fitting.run_folder import WEIGHTS_FILE, load_run

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from tests.training.command_line import cazsl_train, sole_line
-from tests.training.copies import write_linked_views
+from tests.training.synthetic_omnipush import write_linked_views
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.published import different_surfaces, omnipush_descriptors
 from training.omnipush.pushes import read_folder

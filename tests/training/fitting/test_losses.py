@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from tests.training import by_hand
-from tests.training.by_hand import array_of
+from tests.training import reference_equations
+from tests.training.reference_equations import array_of
 from training.fitting.losses import context_regulariser, gaussian_divergence, gaussian_nll
 from training.networks.encoders import EuclideanDistance, KernelDistance
 
@@ -88,11 +88,11 @@ def test_the_neural_regulariser_is_the_paper_s(kind: str, objects: int, pairs: l
     torch.manual_seed(6)
     distance = KernelDistance(tuple(context.shape[1:]))
     weights = {f"distance.{name}": value for name, value in distance.state_dict().items()}
-    embedded = by_hand.phi(weights, array_of(context))
+    embedded = reference_equations.phi(weights, array_of(context))
     products = np.array([embedded[i] @ embedded[j] for i, j in pairs])
 
     found = context_regulariser(mask, context, distance, lambda_1=0.5, lambda_2=1.0)
-    assert found.item() == pytest.approx(by_hand.regulariser(array_of(mask), products, 0.5, 1.0), rel=1e-5)
+    assert found.item() == pytest.approx(reference_equations.regulariser(array_of(mask), products, 0.5, 1.0), rel=1e-5)
 
 
 def test_the_neural_regulariser_trains_mask_and_embedding() -> None:

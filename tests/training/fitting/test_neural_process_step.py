@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.training import by_hand
-from tests.training.by_hand import array_of
+from tests.training import reference_equations
 from tests.training.networks.fixed_process import fixed_process
+from tests.training.reference_equations import array_of
 from training.fitting.evaluation import evaluate
 from training.fitting.neural_process_step import draw_support, loss_terms, predict_targets
 from training.fitting.samples import Samples
@@ -36,8 +36,11 @@ def test_the_loss_is_the_evidence_bound_per_target_value() -> None:
         s_x, s_y, t_x, t_y = (
             array_of(value[row]) for value in (support.inputs, support.targets, targets.inputs, targets.targets)
         )
-        (mean, std), (prior_mean, prior_std) = by_hand.latent(weights, t_x, t_y), by_hand.latent(weights, s_x, s_y)
-        found, log_std = by_hand.neural_process(weights, s_x, s_y, t_x, mean + std * noise[row])
+        (mean, std), (prior_mean, prior_std) = (
+            reference_equations.latent(weights, t_x, t_y),
+            reference_equations.latent(weights, s_x, s_y),
+        )
+        found, log_std = reference_equations.neural_process(weights, s_x, s_y, t_x, mean + std * noise[row])
         nll_sum += (0.5 * ((t_y - found) / np.exp(log_std)) ** 2 + log_std + 0.5 * np.log(2.0 * np.pi)).sum()
         shift = (mean - prior_mean) / prior_std
         divergence_sum += (np.log(prior_std / std) + 0.5 * ((std / prior_std) ** 2 + shift**2 - 1.0)).sum()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from tests.training.copies import plausible_pushes
+from tests.training.synthetic_omnipush import plausible_pushes
 from training.inspection.findings import DatasetFinding, ObjectPushes, Severity, odd_normalised, surface_findings
 from training.inspection.statistics import compare_statistics
 from training.omnipush.files import Array

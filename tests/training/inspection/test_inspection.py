@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from service.errors import DataError
-from tests.training.copies import SOURCE, write_surface, write_views
+from tests.training.synthetic_omnipush import SOURCE, write_surface, write_views
 from training.inspection.findings import Severity
 from training.inspection.inspection import Inspection, inspect
 from training.omnipush.declaration import DATASET_FILE, UNKNOWN_SOURCE

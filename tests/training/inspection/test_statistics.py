@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.training.copies import plausible_pushes
+from tests.training.synthetic_omnipush import plausible_pushes
 from training.inspection.statistics import QUANTITIES, compare_statistics, missed
 from training.omnipush.published import Normalisation, published_normalisation
 

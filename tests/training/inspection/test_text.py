@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.training.copies import write_surface, write_views
+from tests.training.synthetic_omnipush import write_surface, write_views
 from training.inspection.findings import DatasetFinding, Severity
 from training.inspection.inspection import Inspection, inspect
 from training.inspection.text import SHOWN, inspection_document, inspection_lines, next_step, statistics_lines

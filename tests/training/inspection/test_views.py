@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tests.training.copies import write_views
+from tests.training.synthetic_omnipush import write_views
 from training.inspection.findings import Severity
 from training.inspection.views import find_views, missing_views, odd_views
 from training.omnipush.views import VIEWS_FOLDER

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from tests.training import by_hand
-from tests.training.by_hand import array_of
+from tests.training import reference_equations
 from tests.training.networks.fixed_process import fixed_process
+from tests.training.reference_equations import array_of
 from training.networks.neural_process import Points
 
 # query, key, value, mixture (128 + 1) 128 each, and scale and shift of the norm
@@ -37,8 +37,8 @@ def test_a_forward_pass_is_the_equations() -> None:
         s_inputs, s_targets, t_inputs = (
             array_of(value[row]) for value in (support.inputs, support.targets, targets.inputs)
         )
-        z, std = by_hand.latent(weights, s_inputs, s_targets)
-        expected = by_hand.neural_process(weights, s_inputs, s_targets, t_inputs, z)
+        z, std = reference_equations.latent(weights, s_inputs, s_targets)
+        expected = reference_equations.neural_process(weights, s_inputs, s_targets, t_inputs, z)
         assert array_of(prior_mean[row]) == pytest.approx(z, abs=1e-4)
         assert array_of(prior_std[row]) == pytest.approx(std, abs=1e-5)
         assert array_of(mean[row]) == pytest.approx(expected[0], abs=1e-3)

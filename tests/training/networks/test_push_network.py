@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from service.model.tensors import ContextKind
-from tests.training import by_hand
-from tests.training.by_hand import array_of
+from tests.training import reference_equations
+from tests.training.reference_equations import array_of
 from training.networks.angles import circular
 from training.networks.methods import METHODS
 from training.networks.push_network import LOG_STD_LIMIT, PUSH_SHAPES, PushNetwork, Shape
@@ -81,7 +81,7 @@ def test_a_forward_pass_is_the_paper_s_equations(method: str, kind: ContextKind,
     with torch.no_grad():
         mean, log_std, conditioning = network(pushers, contexts)
 
-    expected = by_hand.network(weights, method, array_of(pushers), array_of(contexts), fitted)
+    expected = reference_equations.network(weights, method, array_of(pushers), array_of(contexts), fitted)
     assert np.abs(expected[1]).max() < LOG_STD_LIMIT
     assert array_of(mean) == pytest.approx(expected[0], abs=2e-4)
     assert array_of(log_std) == pytest.approx(expected[1], abs=2e-4)
@@ -98,7 +98,7 @@ def test_the_kernel_distance_is_an_inner_product_of_embeddings(kind: ContextKind
     with torch.no_grad():
         found = network.distance(contexts[:4], contexts[4:])
 
-    embedded = by_hand.phi(network.state_dict(), array_of(contexts))
+    embedded = reference_equations.phi(network.state_dict(), array_of(contexts))
     assert embedded.shape == (8, 5 if kind is INDICATOR else 10)
     assert array_of(found) == pytest.approx((embedded[:4] * embedded[4:]).sum(axis=-1), rel=1e-4, abs=1e-5)
 
@@ -236,7 +236,9 @@ def test_a_circular_angle_enters_as_its_cosine_and_sine(method: str) -> None:
         mean, log_std, conditioning = network(pushers, contexts)
         alone = network.gaussian(pushers[0], None if conditioning is None else conditioning[:1].expand(5, -1))
 
-    expected = by_hand.network(network.state_dict(), method, array_of(circular(pushers)), array_of(contexts))
+    expected = reference_equations.network(
+        network.state_dict(), method, array_of(circular(pushers)), array_of(contexts)
+    )
     assert array_of(mean) == pytest.approx(expected[0], abs=1e-5)
     assert array_of(log_std) == pytest.approx(expected[1], abs=1e-5)
     assert torch.allclose(alone[0], mean[0], atol=1e-5)
@@ -263,6 +265,6 @@ def test_a_regression_has_a_network_of_its_shape() -> None:
     with torch.no_grad():
         mean, log_std, _ = network(inputs, contexts)
 
-    expected = by_hand.network(network.state_dict(), "FCN + CM", array_of(inputs), array_of(contexts))
+    expected = reference_equations.network(network.state_dict(), "FCN + CM", array_of(inputs), array_of(contexts))
     assert mean.shape == log_std.shape == (5, 4, 1)
     assert array_of(mean) == pytest.approx(expected[0], abs=1e-5)

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.training.copies import write_surface
+from tests.training.synthetic_omnipush import write_surface
 from training.omnipush.layout import SurfaceKind, surface_folders, surface_kind, view_places
 
 OBJECT = "1a2a3a4a"

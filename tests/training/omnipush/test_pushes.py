@@ -14,8 +14,8 @@ import numpy.typing as npt
 import pytest
 
 from service.errors import DataError
-from tests.training.copies import SOURCE, plausible_pushes, write_surface
 from tests.training.pickle_trap import PickleTrap
+from tests.training.synthetic_omnipush import SOURCE, plausible_pushes, write_surface
 from training.omnipush.declaration import DATASET_FILE, UNKNOWN_SOURCE, declare_dataset
 from training.omnipush.files import Variant, list_folder
 from training.omnipush.published import omnipush_descriptors

@@ -9,7 +9,7 @@ import pytest
 from service.bulk.executors import Executor, ProcessExecutor
 from service.errors import DataError
 from service.model.tensors import ContextKind
-from tests.clusters import NodeLossExecutor, TwoNodes
+from tests.ray_cluster import NodeLossExecutor, TwoNodes
 from training.fitting.evaluation import evaluate
 from training.fitting.run_folder import CHECKPOINT_FILE, COST_FILE, METRICS_FILE, WEIGHTS_FILE, load_run
 from training.fitting.samples import TrainingData

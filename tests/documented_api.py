@@ -10,7 +10,7 @@ from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.registry.registry import Registry
 from service.settings import Settings
-from tests.serving import ROOT
+from tests.running_service import ROOT
 
 Json = dict[str, Any]
 
