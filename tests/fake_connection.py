@@ -1,4 +1,4 @@
-"""A connection of the service without a network: what is said on it, in which pieces, and what was answered."""
+"""A connection of the service without a network: a test hands it bytes and reads the answers."""
 
 import asyncio
 from collections.abc import Iterable, Sequence
@@ -10,12 +10,12 @@ from uvicorn.server import ServerState
 from service.transport.connection import BoundedConnection, connection_class
 from service.transport.fast_path import Shortcut
 
-_PATIENCE_TURNS = 5000
-_QUICK_TURNS = 50
+_MAX_ITERATIONS = 5000
+_BUSY_ITERATIONS = 50
 
 
 class FakeTransport(asyncio.Transport):
-    """Remembers what each call to the system would have carried."""
+    """A transport that records the bytes of each system call in ``sent``."""
 
     def __init__(self) -> None:
         super().__init__({"peername": ("192.0.2.1", 5)})
@@ -23,30 +23,30 @@ class FakeTransport(asyncio.Transport):
         self.closed = False
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """One call."""
+        """Record one call."""
         self.sent.append(bytes(data))
 
     def writelines(self, list_of_data: Iterable[bytes | bytearray | memoryview]) -> None:
-        """One call too."""
+        """Record one call with all parts."""
         self.write(b"".join(list_of_data))
 
     def is_closing(self) -> bool:
-        """Whether it was closed."""
+        """Return whether the transport is closed."""
         return self.closed
 
     def close(self) -> None:
-        """No more."""
+        """Close the transport."""
         self.closed = True
 
     def pause_reading(self) -> None:
-        """Nothing comes by itself."""
+        """Do not read. A test alone decides when bytes arrive."""
 
     def resume_reading(self) -> None:
-        """As above."""
+        """Do not read. A test alone decides when bytes arrive."""
 
 
-class Wire:
-    """One connection to an app; made and used inside of an event loop."""
+class FakeConnection:
+    """A connection to an app. Create and use it inside an event loop."""
 
     def __init__(self, app: ASGIApp, shortcut: Shortcut | None, head_s: float = 3600.0) -> None:
         config = Config(app, log_config=None, access_log=False, proxy_headers=False)
@@ -54,37 +54,37 @@ class Wire:
         self.state = ServerState()
         self.transport = FakeTransport()
         kind = connection_class(head_s, lambda code: None, shortcut)
-        self.connection: BoundedConnection = kind(config, self.state, {})
-        self.connection.connection_made(self.transport)
+        self.protocol: BoundedConnection = kind(config, self.state, {})
+        self.protocol.connection_made(self.transport)
 
-    def say(self, data: bytes) -> None:
-        """A piece comes, unless the service has hung up."""
+    def receive(self, data: bytes) -> None:
+        """Pass bytes of the client to the service, unless the service has closed the connection."""
         if not self.transport.closed:
-            self.connection.data_received(data)
+            self.protocol.data_received(data)
 
-    async def heard(self, answers: int) -> bytes:
-        """What was answered, once it is so many answers or the end of the connection."""
-        for turn in range(_PATIENCE_TURNS):
-            if len(whole_answers(b"".join(self.transport.sent))) >= answers or self.transport.closed:
+    async def answers(self, count: int) -> bytes:
+        """Wait for this number of answers, or for the end of the connection. Return all sent bytes."""
+        for iteration in range(_MAX_ITERATIONS):
+            if len(whole_answers(b"".join(self.transport.sent))) >= count or self.transport.closed:
                 break
-            await asyncio.sleep(0.0 if turn < _QUICK_TURNS else 0.001)
+            await asyncio.sleep(0.0 if iteration < _BUSY_ITERATIONS else 0.001)
         await asyncio.sleep(0)
         return b"".join(self.transport.sent)
 
-    def lose(self) -> None:
-        """The client is gone."""
+    def disconnect(self) -> None:
+        """Lose the connection, as when a client disappears."""
         self.transport.closed = True
-        self.connection.connection_lost(ConnectionResetError())
+        self.protocol.connection_lost(ConnectionResetError())
 
 
 def post(path: str, body: bytes, headers: Sequence[str] = ("content-type: application/json",)) -> bytes:
-    """A request as it travels."""
+    """Return the bytes of a POST request."""
     own = ("host: test", f"content-length: {len(body)}")
     return "\r\n".join((f"POST {path} HTTP/1.1", *own, *headers, "", "")).encode("latin-1") + body
 
 
 def whole_answers(data: bytes) -> list[bytes]:
-    """The answers in what was sent that are whole; the service says the length of each."""
+    """Split sent bytes into answers by their content lengths. An incomplete answer at the end is left out."""
     found = []
     while b"\r\n\r\n" in data:
         head, _, rest = data.partition(b"\r\n\r\n")

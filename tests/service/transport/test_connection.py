@@ -10,7 +10,7 @@ from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
 from service.transport.connection import PairedWrites
-from tests.fake_connection import FakeTransport, Wire
+from tests.fake_connection import FakeConnection, FakeTransport
 
 
 def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
@@ -89,11 +89,11 @@ def test_a_connection_that_is_lost_is_not_held_until_its_time_is_over(said: byte
 
     async def run() -> object:
         """Open, say something, and be gone; what is left of it while the loop goes on."""
-        wire = Wire(PlainTextResponse("fine"), None)
-        wire.say(said)
-        wire.lose()
-        left = weakref.ref(wire.connection)
-        del wire
+        connection = FakeConnection(PlainTextResponse("fine"), None)
+        connection.receive(said)
+        connection.disconnect()
+        left = weakref.ref(connection.protocol)
+        del connection
         gc.collect()
         return left()
 
@@ -125,13 +125,13 @@ def test_a_body_arrives_as_it_was_sent_in_whatever_pieces(sizes: tuple[int, ...]
 
     async def run() -> bytes:
         """Send piece by piece."""
-        wire = Wire(echo, None)
-        wire.say(f"POST / HTTP/1.1\r\nHost: h\r\nContent-Length: {len(whole)}\r\n\r\n".encode())
+        connection = FakeConnection(echo, None)
+        connection.receive(f"POST / HTTP/1.1\r\nHost: h\r\nContent-Length: {len(whole)}\r\n\r\n".encode())
         for piece in pieces:
-            wire.say(piece)
+            connection.receive(piece)
             if not at_once:
                 await asyncio.sleep(0)
                 await asyncio.sleep(0)
-        return await wire.heard(1)
+        return await connection.answers(1)
 
     assert asyncio.run(run()).partition(b"\r\n\r\n")[2] == whole

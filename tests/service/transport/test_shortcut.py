@@ -26,7 +26,7 @@ from service.transport.endpoints import LIGHT_BYTES, Endpoints
 from service.transport.fast_path import Shortcut
 from service.transport.keys import Keys
 from service.transport.threads import ThreadPool
-from tests.fake_connection import Wire, post, whole_answers
+from tests.fake_connection import FakeConnection, post, whole_answers
 from tests.fakes import all_fake_models
 from tests.request_strategies import ODD, PUSHER, pushes
 
@@ -58,9 +58,9 @@ def app(models: LoadedModels) -> Service:
     return create_app(Settings(poll_interval_s=3600), models, log=RequestLog(io.StringIO()))
 
 
-def wire_to(app: Service) -> Wire:
+def connect_to(app: Service) -> FakeConnection:
     """A connection as the service makes them."""
-    return Wire(app, app.shortcut)
+    return FakeConnection(app, app.shortcut)
 
 
 class Buggy(Admission):
@@ -82,15 +82,15 @@ def shortcut_only(
     return Shortcut(SINGLE, endpoints, admitted, telemetry)
 
 
-def asked(loop: asyncio.Runner, wire: Callable[[], Wire], *pieces: bytes, answers: int = 1) -> bytes:
+def asked(loop: asyncio.Runner, connect: Callable[[], FakeConnection], *pieces: bytes, answers: int = 1) -> bytes:
     """What is answered to pieces that come one after the other."""
 
     async def run() -> bytes:
         """On a connection of its own."""
-        found = wire()
+        connection = connect()
         for piece in pieces:
-            found.say(piece)
-        return await found.heard(answers)
+            connection.receive(piece)
+        return await connection.answers(answers)
 
     return loop.run(run())
 
@@ -105,7 +105,7 @@ def status(answer: bytes) -> int:
 def test_a_push_gets_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service, body: Any) -> None:
     """The whole answer as it leaves, head and body, of answers and refusals alike."""
     content = json.dumps(body).encode()
-    short, long = (asked(loop, lambda: wire_to(app), post("/v1/predict", content, kind)) for kind in (PLAIN, LONG))
+    short, long = (asked(loop, lambda: connect_to(app), post("/v1/predict", content, kind)) for kind in (PLAIN, LONG))
     assert whole_answers(short) == [short]
     assert short == long
 
@@ -113,7 +113,7 @@ def test_a_push_gets_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service
 @pytest.mark.parametrize("name", ODD)
 def test_odd_bodies_get_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service, name: str) -> None:
     """A model that fails among them, which shows at the end of the turn only."""
-    short, long = (asked(loop, lambda: wire_to(app), post("/v1/predict", ODD[name], kind)) for kind in (PLAIN, LONG))
+    short, long = (asked(loop, lambda: connect_to(app), post("/v1/predict", ODD[name], kind)) for kind in (PLAIN, LONG))
     assert short == long
 
 
@@ -127,9 +127,9 @@ def test_however_requests_are_cut_and_crowded_each_gets_its_answer_in_order(
     cuts = sorted(data.draw(st.lists(st.integers(0, len(said)), max_size=5)))
     pieces = [said[start:end] for start, end in zip([0, *cuts], [*cuts, len(said)], strict=True)]
 
-    heard = asked(loop, lambda: wire_to(app), *pieces, answers=len(bodies))
+    heard = asked(loop, lambda: connect_to(app), *pieces, answers=len(bodies))
 
-    alone = [asked(loop, lambda: wire_to(app), post("/v1/predict", body, PLAIN)) for body in bodies]
+    alone = [asked(loop, lambda: connect_to(app), post("/v1/predict", body, PLAIN)) for body in bodies]
     assert whole_answers(heard) == alone
 
 
@@ -138,11 +138,11 @@ def test_a_plain_push_needs_no_application(loop: asyncio.Runner, models: LoadedM
 
     async def run() -> bytes:
         """Ask twice, waiting for the answer."""
-        wire = Wire(FRAMEWORK, shortcut_only(models))
+        connection = FakeConnection(FRAMEWORK, shortcut_only(models))
         for answers in (1, 2):
-            wire.say(post("/v1/predict", BODY))
-            await wire.heard(answers)
-        return b"".join(wire.transport.sent)
+            connection.receive(post("/v1/predict", BODY))
+            await connection.answers(answers)
+        return b"".join(connection.transport.sent)
 
     assert [status(answer) for answer in whole_answers(loop.run(run()))] == [200, 200]
 
@@ -150,7 +150,7 @@ def test_a_plain_push_needs_no_application(loop: asyncio.Runner, models: LoadedM
 def test_a_client_that_does_not_await_answers_loses_the_shortcut(loop: asyncio.Runner, models: LoadedModels) -> None:
     """It could hold the loop with all that it sends in one go."""
     said = post("/v1/predict", BODY) * 3
-    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models)), said, answers=3)
+    heard = asked(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), said, answers=3)
     assert [status(answer) for answer in whole_answers(heard)] == [200, 418, 418]
 
 
@@ -184,7 +184,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", UNUSUAL)
 def test_an_unusual_request_goes_to_the_framework(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
     """Only a plain request for one push is answered by the shortcut."""
-    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models)), UNUSUAL[name])
+    heard = asked(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), UNUSUAL[name])
     answer = heard.removeprefix(b"HTTP/1.1 100 Continue\r\n\r\n")
     assert status(answer) == 418
 
@@ -193,12 +193,14 @@ def test_an_unusual_request_goes_to_the_framework(loop: asyncio.Runner, models: 
 def test_a_plain_push_that_is_refused_needs_no_framework(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
     """A plain single push is read once, also where the answer is a problem."""
     said, expected = REFUSED[name]
-    assert status(asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models)), said)) == expected
+    assert status(asked(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), said)) == expected
 
 
 def test_a_full_service_refuses_single_pushes_too(loop: asyncio.Runner, models: LoadedModels) -> None:
     """The limit of requests in flight holds for requests that would never count as in flight."""
-    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models, in_flight=0)), post("/v1/predict", BODY))
+    heard = asked(
+        loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models, in_flight=0)), post("/v1/predict", BODY)
+    )
     assert status(heard) == 503
 
 
@@ -206,7 +208,7 @@ def test_a_request_without_its_key_is_refused(loop: asyncio.Runner, models: Load
     """The shortcut checks the key once, and names the missing header."""
     (tmp_path / "keys").write_text("")
     shortcut = shortcut_only(models, keys=tmp_path / "keys")
-    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut), post("/v1/predict", BODY))
+    heard = asked(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))
     assert status(heard) == 401
     assert b"header Authorization" in heard
 
@@ -215,7 +217,9 @@ def test_a_bug_of_the_shortcut_is_logged_and_answered_with_a_500(
     loop: asyncio.Runner, models: LoadedModels, caplog: pytest.LogCaptureFixture
 ) -> None:
     """The client gets a problem, and the log the exception under its request id."""
-    heard = asked(loop, lambda: Wire(FRAMEWORK, shortcut_only(models, admission=Buggy)), post("/v1/predict", BODY))
+    heard = asked(
+        loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models, admission=Buggy)), post("/v1/predict", BODY)
+    )
     assert status(heard) == 500
     assert b"ZeroDivisionError" not in heard
     assert "the fake has a bug" in caplog.text
@@ -226,9 +230,9 @@ def test_a_request_that_is_late_is_handed_over_to_be_refused(loop: asyncio.Runne
 
     async def run() -> bytes:
         """Say a half, and nothing more."""
-        wire = Wire(FRAMEWORK, shortcut_only(models), head_s=0.0)
-        wire.say(post("/v1/predict", BODY)[:-5])
-        return await wire.heard(1)
+        connection = FakeConnection(FRAMEWORK, shortcut_only(models), head_s=0.0)
+        connection.receive(post("/v1/predict", BODY)[:-5])
+        return await connection.answers(1)
 
     assert status(loop.run(run())) == 418
 
@@ -244,10 +248,10 @@ def test_a_client_that_leaves_in_the_middle_is_logged(
 
     async def run() -> None:
         """Say a half, and be gone."""
-        wire = wire_to(app)
-        wire.say(post("/v1/predict", BODY, PLAIN)[:-5])
-        wire.lose()
-        await asyncio.gather(*wire.state.tasks)
+        connection = connect_to(app)
+        connection.receive(post("/v1/predict", BODY, PLAIN)[:-5])
+        connection.disconnect()
+        await asyncio.gather(*connection.state.tasks)
 
     loop.run(run())
     log.flush()
@@ -259,13 +263,13 @@ def test_a_client_that_leaves_before_its_answer_disturbs_nobody(loop: asyncio.Ru
 
     async def run() -> list[bytes]:
         """Three in one turn, two of which are gone at its end."""
-        wires = [wire_to(app) for _ in range(3)]
-        for wire, body in zip(wires, (BODY, FAILING_BODY, BODY), strict=True):
-            wire.say(post("/v1/predict", body, PLAIN))
-        for wire in wires[:2]:
-            wire.lose()
-        await wires[2].heard(1)
-        return [b"".join(wire.transport.sent) for wire in wires]
+        connections = [connect_to(app) for _ in range(3)]
+        for connection, body in zip(connections, (BODY, FAILING_BODY, BODY), strict=True):
+            connection.receive(post("/v1/predict", body, PLAIN))
+        for connection in connections[:2]:
+            connection.disconnect()
+        await connections[2].answers(1)
+        return [b"".join(connection.transport.sent) for connection in connections]
 
     *gone, stayed = loop.run(run())
     assert gone == [b"", b""]
@@ -278,12 +282,12 @@ def test_what_has_come_when_the_doors_close_is_answered(loop: asyncio.Runner, ap
 
     async def run() -> bytes:
         """Close in the middle of a request, or between it and its answer."""
-        wire = wire_to(app)
+        connection = connect_to(app)
         said = post("/v1/predict", BODY, PLAIN)
-        wire.say(said[: len(said) - cut])
-        wire.connection.shutdown()
-        wire.say(said[len(said) - cut :])
-        return await wire.heard(1)
+        connection.receive(said[: len(said) - cut])
+        connection.protocol.shutdown()
+        connection.receive(said[len(said) - cut :])
+        return await connection.answers(1)
 
     heard = loop.run(run())
     assert status(heard) == 200
@@ -295,10 +299,10 @@ def test_a_service_that_is_to_end_says_so_with_every_answer(loop: asyncio.Runner
 
     async def run() -> tuple[bytes, bool]:
         """Ask while it drains."""
-        wire = wire_to(app)
-        wire.state.default_headers = [CLOSE]
-        wire.say(post("/v1/predict", BODY, PLAIN))
-        return await wire.heard(1), wire.transport.closed
+        connection = connect_to(app)
+        connection.state.default_headers = [CLOSE]
+        connection.receive(post("/v1/predict", BODY, PLAIN))
+        return await connection.answers(1), connection.transport.closed
 
     heard, closed = loop.run(run())
     assert b"connection: close" in heard
