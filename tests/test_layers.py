@@ -1,328 +1,135 @@
-"""Who may import whom, held over the source tree."""
+"""The architecture: which package may import which, and which libraries each may use (docs/architecture.md)."""
 
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
 
-SERVICE: dict[str, set[str]] = {
-    "errors": set(),
-    "contract": {"errors"},
-    "canonical": set(),
-    "manifest": {"canonical", "errors", "contract"},
-    "history": {"errors"},
-    "storage": {"history"},
-    "disk": {"errors"},
-    "folder_writer": {"errors", "history", "manifest", "disk"},
-    "folder": {"errors", "history", "manifest", "storage", "disk", "folder_writer"},
-    "verification": {"errors", "manifest", "storage"},
-    "registry": {"errors", "history", "manifest", "storage", "folder", "verification"},
-    "image_files": {"errors"},
-    "stopwatch": set(),
-    "images": {"errors", "contract", "image_files", "stopwatch"},
-    "graph": {"errors"},
-    "predictor": {"errors", "contract", "manifest", "graph"},
-    "frames": set(),
-    "self_check": {"errors", "contract", "manifest", "predictor"},
-    "tally": set(),
-    "loaded_models": {
-        "errors",
-        "contract",
-        "frames",
-        "history",
-        "manifest",
-        "registry",
-        "predictor",
-        "self_check",
-        "stopwatch",
-        "tally",
-    },
-    "readiness": {"errors", "loaded_models", "self_check"},
-    "schemas": set(),
-    "object_bodies": {"errors", "contract", "images", "schemas"},
-    "catalogue": {"loaded_models", "manifest", "schemas"},
-    "rows": {"frames"},
-    "requests": {"errors", "contract", "frames", "manifest", "object_bodies", "rows", "schemas"},
-    "uploads": {"errors"},
-    "predictions": {"errors", "contract", "frames", "images", "loaded_models", "object_bodies", "requests", "uploads"},
-    "tensors": {"errors", "manifest"},
-    "inference": {"errors", "contract", "frames", "loaded_models", "manifest", "predictions", "requests", "tensors"},
-    "keys": {"errors"},
-    "workers": {"errors", "stopwatch"},
-    "settings": set(),
-    "configuration": {"errors", "settings"},
-    "metrics": {"stopwatch"},
-    "telemetry": {"stopwatch"},
-    "problems": {"errors", "schemas", "telemetry"},
-    "documented_requests": {"object_bodies", "uploads"},
-    "examples": {"errors", "problems"},
-    "access": {"errors", "keys", "loaded_models", "predictions", "readiness", "workers"},
-    "routes": {
-        "access",
-        "catalogue",
-        "documented_requests",
-        "errors",
-        "examples",
-        "loaded_models",
-        "object_bodies",
-        "predictions",
-        "requests",
-        "schemas",
-        "uploads",
-    },
-    "inference_bodies": {"schemas", "tensors"},
-    "open_inference": {
-        "access",
-        "documented_requests",
-        "errors",
-        "examples",
-        "inference",
-        "inference_bodies",
-        "manifest",
-        "predictions",
-        "tensors",
-    },
-    "documentation": set(),
-    "intake": {"errors", "keys", "problems"},
-    "monitoring": {"access", "metrics"},
-    "short_way": {"errors", "fast_path", "inference", "intake", "predictions", "telemetry", "turns"},
-    "connections": {"fast_path", "problems", "short_way"},
-    "server": {"connections"},
-    "vitals": {"intake", "loaded_models", "metrics", "readiness", "workers"},
-    "turns": {"contract", "predictions", "stopwatch"},
-    "fast_path": {
-        "errors",
-        "inference",
-        "intake",
-        "keys",
-        "loaded_models",
-        "predictions",
-        "problems",
-        "requests",
-        "turns",
-        "uploads",
-        "workers",
-    },
-    "app": {
-        "access",
-        "documentation",
-        "errors",
-        "examples",
-        "fast_path",
-        "inference_bodies",
-        "intake",
-        "keys",
-        "loaded_models",
-        "metrics",
-        "monitoring",
-        "open_inference",
-        "problems",
-        "readiness",
-        "routes",
-        "schemas",
-        "settings",
-        "short_way",
-        "telemetry",
-        "vitals",
-        "workers",
-    },
-    "in_process": {
-        "catalogue",
-        "errors",
-        "loaded_models",
-        "location",
-        "object_bodies",
-        "predictions",
-        "predictor",
-        "problems",
-        "requests",
-        "uploads",
-    },
-    "client_errors": {"errors"},
-    "retries": set(),
-    "calls": {"client_errors", "errors", "object_bodies", "schemas"},
-    "caller": {"calls", "client_errors", "retries"},
-    "async_client": {"caller", "calls", "in_process", "retries", "schemas"},
-    "client": {
-        "async_client",
-        "caller",
-        "calls",
-        "client_errors",
-        "in_process",
-        "object_bodies",
-        "retries",
-        "schemas",
-    },
-    "gates": {"contract", "manifest", "loaded_models"},
-    "doctor": {"errors", "storage", "registry", "loaded_models"},
-    "cache": {"errors", "manifest", "disk"},
-    "bucket": {"errors"},
-    "object_store": {"errors", "history", "manifest", "storage", "bucket", "cache", "folder_writer"},
-    "signatures": {"errors"},
-    "location": {"errors", "storage", "verification", "registry", "object_store", "signatures"},
-    "tracing": {"telemetry"},
-    "terminal": {"configuration", "errors"},
-    "config_cli": {"configuration", "errors", "terminal"},
-    "workforce": {"errors"},
-    "new_file": {"errors"},
-    "bulk": {
-        "errors",
-        "contract",
-        "frames",
-        "loaded_models",
-        "manifest",
-        "predictor",
-        "requests",
-        "self_check",
-    },
-    "parquet_file": {"bulk", "contract", "errors", "manifest"},
-    "bulk_prediction": {"bulk", "contract", "new_file", "parquet_file", "workforce"},
-    "bulk_cli": {
-        "bulk",
-        "bulk_prediction",
-        "errors",
-        "loaded_models",
-        "manifest",
-        "parquet_file",
-        "registry",
-        "workers",
-        "workforce",
-    },
-    "models_cli": {
-        "errors",
-        "history",
-        "manifest",
-        "storage",
-        "registry",
-        "predictor",
-        "loaded_models",
-        "doctor",
-        "location",
-        "terminal",
-    },
-    "changes_cli": {
-        "errors",
-        "history",
-        "manifest",
-        "registry",
-        "predictor",
-        "loaded_models",
-        "gates",
-        "location",
-        "models_cli",
-        "signatures",
-        "terminal",
-    },
-    "cli": {
-        "bulk_cli",
-        "connections",
-        "errors",
-        "contract",
-        "keys",
-        "predictor",
-        "loaded_models",
-        "location",
-        "object_bodies",
-        "predictions",
-        "requests",
-        "config_cli",
-        "server",
-        "telemetry",
-        "terminal",
-        "tracing",
-        "app",
-        "models_cli",
-        "changes_cli",
-    },
+# For each package the packages that it may import. The root modules of the service count as packages of one module.
+PACKAGES: Mapping[str, frozenset[str]] = {
+    package: frozenset(below.split())
+    for package, below in {
+        "service.errors": "",
+        "service.settings": "",
+        "service.processors": "",
+        "service.observability": "",
+        "service.model": "service.errors",
+        "service.pushing": "service.errors service.model",
+        "service.storage": "service.errors service.model",
+        "service.registry": "service.errors service.model service.pushing service.storage",
+        "service.schemas": "service.errors service.model service.pushing",
+        "service.inference": "service.errors service.model service.pushing service.storage service.registry "
+        "service.observability",
+        "service.transport": "service.errors service.processors service.inference service.schemas "
+        "service.observability",
+        "service.bulk": "service.errors service.model service.pushing service.storage service.inference",
+        "service.api": "service.errors service.inference service.schemas service.observability service.transport",
+        "service.api.v1": "service.errors service.model service.pushing service.inference service.schemas "
+        "service.observability service.transport service.api",
+        "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
+        "service.transport service.api",
+        "service.app": "service.errors service.settings service.inference service.schemas service.observability "
+        "service.transport service.api service.api.v1 service.api.open_inference",
+        "service.client": "service.errors service.model service.schemas",
+        "service.cli": "service.errors service.settings service.processors service.observability service.model "
+        "service.storage service.registry service.schemas service.inference service.transport service.bulk "
+        "service.api.v1 service.app",
+        "training.omnipush": "service.errors service.model service.pushing service.storage",
+        "training.simulation": "service.errors service.pushing training.omnipush",
+        "training.networks": "service.model service.pushing training.omnipush",
+        "training.inspection": "service.errors service.pushing training.omnipush training.simulation",
+        "training.fitting": "service.errors service.model service.pushing service.storage training.omnipush "
+        "training.networks",
+        "training.publishing": "service.errors service.model service.pushing service.registry training.omnipush "
+        "training.networks training.fitting",
+        "training.paper": "service.errors service.model service.storage service.bulk training.omnipush "
+        "training.networks training.fitting",
+        "training.recipes": "",
+        "training.cli": "service.errors service.processors service.model service.registry service.bulk "
+        "training.omnipush training.simulation training.networks training.inspection training.fitting "
+        "training.publishing training.paper",
+    }.items()
 }
-OUTSIDE: dict[str, set[str]] = {
-    "errors": set(),
-    "contract": {"numpy"},
-    "canonical": set(),
-    "manifest": set(),
-    "history": set(),
-    "storage": set(),
-    "disk": set(),
-    "folder_writer": set(),
-    "folder": set(),
-    "verification": set(),
-    "registry": set(),
-    "image_files": set(),
-    "images": {"numpy", "PIL"},
-    "graph": {"google", "onnx"},
-    "predictor": {"numpy", "onnxruntime"},
-    "stopwatch": set(),
-    "self_check": {"numpy"},
-    "tally": set(),
-    "loaded_models": {"numpy"},
-    "readiness": set(),
-    "frames": {"numpy"},
-    "schemas": {"pydantic"},
-    "object_bodies": {"numpy", "pydantic"},
-    "rows": {"numpy", "pydantic", "pydantic_core"},
-    "requests": {"numpy", "orjson", "pydantic"},
-    "uploads": {"pydantic_core", "starlette"},
-    "predictions": {"numpy", "orjson"},
-    "tensors": {"numpy", "orjson", "pydantic"},
-    "inference": {"numpy"},
-    "keys": set(),
-    "workers": set(),
-    "settings": {"pydantic", "pydantic_settings"},
-    "configuration": {"pydantic", "pydantic_settings"},
-    "metrics": {"numpy", "prometheus_client"},
-    "monitoring": {"fastapi", "prometheus_client"},
-    "server": {"uvicorn"},
-    "vitals": set(),
-    "tracing": {"opentelemetry", "starlette"},
-    "telemetry": {"orjson", "starlette", "pythonjsonlogger"},
-    "problems": {"fastapi", "orjson", "starlette"},
-    "documented_requests": set(),
-    "examples": set(),
-    "access": {"fastapi"},
-    "routes": {"fastapi", "pydantic", "pydantic_core"},
-    "inference_bodies": {"numpy", "pydantic"},
-    "open_inference": {"fastapi", "pydantic"},
-    "documentation": {"fastapi"},
-    "intake": {"starlette"},
-    "short_way": {"pydantic", "starlette"},
-    "connections": {"starlette", "uvicorn"},
-    "turns": {"numpy"},
-    "fast_path": {"pydantic", "starlette"},
-    "app": {"fastapi", "starlette"},
-    "catalogue": {"pydantic_core"},
-    "in_process": {"httpx2", "pydantic", "pydantic_core", "starlette"},
-    "client_errors": set(),
-    "retries": set(),
-    "calls": {"numpy", "orjson", "pydantic"},
-    "caller": {"httpx2"},
-    "async_client": {"httpx2", "numpy"},
-    "client": {"httpx2", "numpy"},
-    "gates": {"numpy"},
-    "doctor": set(),
-    "cache": set(),
-    "bucket": {"obstore"},
-    "object_store": set(),
-    "signatures": {"model_signing"},
-    "location": set(),
-    "terminal": {"click"},
-    "workforce": set(),  # ray by its name, when it is asked for
-    "new_file": set(),
-    "bulk": {"numpy"},
-    "parquet_file": {"numpy", "pyarrow"},
-    "bulk_prediction": {"pyarrow"},
-    "bulk_cli": {"click"},
-    "models_cli": {"click"},
-    "changes_cli": {"click"},
-    "config_cli": {"click"},
-    "cli": {"click", "prometheus_client", "pydantic", "starlette", "uvicorn"},
+# Modules that import more than their package may: the transport of ``Client.local``, which answers in this process.
+EXCEPTIONS: Mapping[str, frozenset[str]] = {
+    "service.client.local": frozenset(
+        ("service.inference", "service.registry", "service.transport", "service.api.v1", *PACKAGES["service.client"])
+    )
 }
-TRAINING_TAKES = {"errors", "contract", "manifest", "registry", "images", "predictor", "workforce"}
+# Of the lower packages the trainer takes these modules only.
+TRAINING_TAKES: Mapping[str, str] = {
+    "service.storage": "service.storage.disk",
+    "service.bulk": "service.bulk.executors",
+}
+# Libraries that every module of some packages may use.
+LIBRARIES: Mapping[str, frozenset[str]] = {
+    package: frozenset(libraries.split())
+    for package, libraries in {
+        "service.settings": "pydantic pydantic_settings",
+        "service.observability": "numpy orjson prometheus_client pythonjsonlogger starlette",
+        "service.model": "numpy",
+        "service.pushing": "numpy",
+        "service.schemas": "numpy pydantic pydantic_core",
+        "service.inference": "numpy",
+        "service.transport": "orjson starlette",
+        "service.bulk": "numpy pyarrow",
+        "service.api": "fastapi prometheus_client starlette",
+        "service.api.v1": "numpy orjson pydantic_core starlette",
+        "service.api.open_inference": "numpy orjson pydantic",
+        "service.app": "fastapi starlette",
+        "service.client": "httpx2 numpy orjson pydantic",
+        "service.cli": "click pydantic pydantic_settings",
+        "training.omnipush": "numpy tqdm",
+        "training.simulation": "mujoco numpy tqdm",
+        "training.networks": "torch",
+        "training.inspection": "matplotlib numpy tqdm",
+        "training.fitting": "numpy safetensors torch tqdm",
+        "training.publishing": "numpy torch",
+        "training.paper": "matplotlib numpy torch tqdm",
+        "training.cli": "click torch",
+    }.items()
+}
+# Libraries with a single home in the service or the trainer.
+HOMES: Mapping[str, frozenset[str]] = {
+    module: frozenset(libraries.split())
+    for module, libraries in {
+        "service.model.predictor": "onnxruntime",
+        "service.model.onnx_graph": "onnx google",
+        "service.pushing.images": "PIL",
+        "service.pushing.image_quality": "PIL",
+        "service.storage.bucket": "obstore",
+        "service.registry.signing": "model_signing",
+        "service.observability.tracing": "opentelemetry",
+        "service.transport.connection": "uvicorn",
+        "service.transport.draining": "uvicorn",
+        "service.api.v1.routes": "fastapi",
+        "service.api.open_inference.routes": "fastapi",
+        "service.cli.serve": "prometheus_client starlette uvicorn",
+        "training.publishing.onnx_export": "onnx",
+        "training.simulation.camera": "PIL",
+    }.items()
+}
+LARGEST_PACKAGE = 12
+
+
+def modules(project_root: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the name and the file of every module, without the files that only open a package."""
+    for top in ("service", "training"):
+        for path in sorted((project_root / top).rglob("*.py")):
+            if path.stem != "__init__":
+                yield ".".join(path.relative_to(project_root).with_suffix("").parts), path
+
+
+def package_of(module: str) -> str:
+    """Return the package of a module; a root module of the service is its own."""
+    return module if module in PACKAGES else module.rpartition(".")[0]
 
 
 def imported(path: Path) -> set[str]:
-    """Every module that a file imports, functions included."""
+    """Return every module that a file imports, functions included."""
     found: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -330,92 +137,134 @@ def imported(path: Path) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name}: relative import"
             module = node.module or ""
-            found |= {f"{module}.{alias.name}" if module in ("service", "training") else module for alias in node.names}
+            is_package = module in PACKAGES or module in ("service", "training")
+            found |= {
+                f"{module}.{alias.name}" if is_package and _is_module(path, module, alias.name) else module
+                for alias in node.names
+            }
     return found
 
 
-def rooms(modules: set[str], package: str) -> set[str]:
-    """The rooms of one package among imported modules."""
-    return {module.split(".")[1] for module in modules if module.startswith(package + ".")}
+def _is_module(path: Path, package: str, name: str) -> bool:
+    root = next(parent for parent in path.parents if (parent / "pyproject.toml").is_file())
+    return (root / package.replace(".", "/") / f"{name}.py").is_file()
 
 
-def files(project_root: Path, package: str) -> list[Path]:
-    """The source files of a package."""
-    return sorted(path for path in (project_root / package).rglob("*.py"))
+def of_ours(names: set[str]) -> set[str]:
+    """Return the modules of the project among imported ones; the version of the service is no module."""
+    return {name for name in names if name.startswith(("service.", "training."))}
 
 
-def test_every_room_of_the_service_has_its_place_in_the_table(project_root: Path) -> None:
-    """A new room is a decision: it is added to the tables above."""
-    found = {path.stem for path in files(project_root, "service")} - {"__init__"}
-    assert found == set(SERVICE) == set(OUTSIDE)
+def test_every_package_stands_in_the_table(project_root: Path) -> None:
+    """A new package is a decision: it is added to the table, and to docs/architecture.md."""
+    found = {package_of(module) for module, _ in modules(project_root)}
+    assert found | {"training.recipes"} == set(PACKAGES)
 
 
-@pytest.mark.parametrize("room", SERVICE)
-def test_a_room_of_the_service_imports_only_what_stands_below_it(project_root: Path, room: str) -> None:
-    """Imports inside the service point one way."""
-    assert rooms(imported(project_root / "service" / f"{room}.py"), "service") <= SERVICE[room]
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_imports_only_packages_below_it(project_root: Path, package: str) -> None:
+    """Imports between packages point one way."""
+    for module, path in modules(project_root):
+        if package_of(module) == package:
+            allowed = EXCEPTIONS.get(module, PACKAGES[package]) | {package}
+            assert {package_of(name) for name in of_ours(imported(path))} <= allowed, module
 
 
-@pytest.mark.parametrize("room", OUTSIDE)
-def test_a_room_of_the_service_uses_only_its_own_libraries(project_root: Path, room: str) -> None:
-    """Each library has its rooms: onnxruntime one, the web framework the upper ones, the core none."""
-    modules = {module.split(".")[0] for module in imported(project_root / "service" / f"{room}.py")}
-    assert modules - set(sys.stdlib_module_names) - {"service"} <= OUTSIDE[room]
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_uses_only_its_own_libraries(project_root: Path, package: str) -> None:
+    """Each library has its place: onnxruntime one module, the web framework the upper packages, the core none."""
+    for module, path in modules(project_root):
+        if package_of(module) == package:
+            libraries = {name.split(".")[0] for name in imported(path)} - set(sys.stdlib_module_names)
+            allowed = LIBRARIES.get(package, frozenset()) | HOMES.get(module, frozenset())
+            assert libraries - {"service", "training"} <= allowed, module
 
 
-def test_the_tables_have_no_cycle() -> None:
-    """Every room can be placed below those that import it."""
+def test_the_table_has_no_cycle() -> None:
+    """Every package can be placed above those that it imports."""
     placed: set[str] = set()
-    while len(placed) < len(SERVICE):
-        ready = {room for room, below in SERVICE.items() if room not in placed and below <= placed}
-        assert ready, f"a cycle among {set(SERVICE) - placed}"
+    while len(placed) < len(PACKAGES):
+        ready = {package for package, below in PACKAGES.items() if package not in placed and below <= placed}
+        assert ready, f"a cycle among {set(PACKAGES) - placed}"
         placed |= ready
 
 
-def test_the_rooms_of_the_trainer_have_no_cycle(project_root: Path) -> None:
-    """Each can be placed below those that import it: imports inside the trainer point one way too."""
-    rooms_below = {
-        path.stem if path.stem != "__init__" else path.parent.name: rooms(imported(path), "training")
-        for path in files(project_root, "training")
+@pytest.mark.parametrize("package", [package for package in PACKAGES if "." in package])
+def test_the_modules_of_a_package_have_no_cycle(project_root: Path, package: str) -> None:
+    """Every module can be placed above those of its package that it imports."""
+    below = {
+        module: {name for name in imported(path) if package_of(name) == package and name != package}
+        for module, path in modules(project_root)
+        if package_of(module) == package
     }
     placed: set[str] = set()
-    while set(rooms_below) - placed:
-        ready = {room for room, below in rooms_below.items() if room not in placed and below - {room} <= placed}
-        assert ready, f"a cycle among {set(rooms_below) - placed}"
+    while len(placed) < len(below):
+        ready = {module for module, needed in below.items() if module not in placed and needed <= placed}
+        assert ready, f"a cycle among {set(below) - placed}"
         placed |= ready
 
 
-def test_the_trainer_takes_only_the_shared_rooms_of_the_service(project_root: Path) -> None:
-    """Training uses the service's core and nothing of its web side."""
-    for path in files(project_root, "training"):
-        assert rooms(imported(path), "service") - {"__version__"} <= TRAINING_TAKES, path.name
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_package_is_small_and_says_what_is_in_it(project_root: Path, package: str) -> None:
+    """A newcomer finds the line to change from the names of folders, and a sentence in each."""
+    folder = project_root / package.replace(".", "/")
+    if folder.is_dir():
+        assert len([path for path in folder.glob("*.py") if path.stem != "__init__"]) <= LARGEST_PACKAGE
+        assert len(ast.get_docstring(ast.parse((folder / "__init__.py").read_text(encoding="utf-8"))) or "") > 80
+
+
+def test_no_module_is_longer_than_300_lines(project_root: Path) -> None:
+    """A module past 300 lines is two modules."""
+    lengths = {module: len(path.read_text(encoding="utf-8").splitlines()) for module, path in modules(project_root)}
+    assert {module: length for module, length in lengths.items() if length > 300} == {}
+
+
+def test_tests_mirror_modules(project_root: Path) -> None:
+    """The test of service/storage/disk.py is tests/service/storage/test_disk.py."""
+    known = {path.relative_to(project_root) for _, path in modules(project_root)}
+    for top in ("service", "training"):
+        for path in sorted((project_root / "tests" / top).rglob("test_*.py")):
+            mirrored = path.relative_to(project_root / "tests").with_name(path.name.removeprefix("test_"))
+            assert mirrored in known, f"{path.relative_to(project_root)} tests no module"
+
+
+def test_the_trainer_takes_only_shared_modules_of_the_service(project_root: Path) -> None:
+    """Training uses the core of the service, and none of its web side."""
+    for module, path in modules(project_root):
+        if module.startswith("training."):
+            for name in of_ours(imported(path)):
+                assert name.startswith(TRAINING_TAKES.get(package_of(name), name)), f"{module} imports {name}"
+
+
+def loaded_by(project_root: Path, code: str) -> set[str]:
+    """Return the modules that a fresh interpreter has loaded after some code."""
+    code = f"import sys; {code}; print(sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
+    return set(ast.literal_eval(done.stdout))
 
 
 def test_serving_loads_neither_torch_nor_the_trainer(project_root: Path) -> None:
     """A fresh interpreter that imports the app and the command line has no torch, no trainer, no pickle loader."""
-    code = "import sys, service.app, service.cli.main; print(sorted(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
-    modules = set(ast.literal_eval(done.stdout))
-    loaded = {module.split(".")[0] for module in modules}
-    assert not modules & {"opentelemetry.sdk", "opentelemetry.exporter"}  # its interface is FastAPI's to import
+    names = loaded_by(project_root, "import service.app, service.cli.main")
+    loaded = {name.split(".")[0] for name in names}
+    assert not names & {"opentelemetry.sdk", "opentelemetry.exporter"}  # FastAPI itself imports the interface
     assert "service" in loaded
     assert not loaded & {"torch", "training", "mujoco", "safetensors", "obstore", "model_signing", "pyarrow", "ray"}
 
 
 def test_a_client_of_a_service_loads_no_part_of_one(project_root: Path) -> None:
-    """Who asks over HTTP has neither the runtime nor the web framework nor torch in memory."""
-    code = "import sys, service.client; print(sorted({m.split('.')[0] for m in sys.modules}))"
-    done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)
-    loaded = set(ast.literal_eval(done.stdout))
+    """A client over HTTP has neither the runtime nor the web framework nor torch in memory."""
+    loaded = {name.split(".")[0] for name in loaded_by(project_root, "import service.client")}
     assert "httpx2" in loaded
     assert not loaded & {"torch", "training", "onnx", "onnxruntime", "fastapi", "starlette", "uvicorn", "click"}
 
 
-def test_nothing_happens_at_import(project_root: Path) -> None:
-    """Importing every room of the service writes nothing, starts no thread and reads no setting."""
+def test_importing_a_module_of_the_service_has_no_effect(project_root: Path) -> None:
+    """Importing every module of the service writes no file, starts no thread and reads no setting."""
+    names = [module for module, _ in modules(project_root) if module.startswith("service.")]
     code = (
         "import importlib, threading, os; os.environ['CAZSL_PORT'] = 'nonsense';"
-        f"[importlib.import_module('service.' + room) for room in {sorted(SERVICE)}];"
+        f"[importlib.import_module(name) for name in {names}];"
         "print(threading.active_count())"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=project_root, capture_output=True, text=True, check=True)

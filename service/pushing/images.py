@@ -23,7 +23,6 @@ import numpy.typing as npt
 from PIL import Image
 
 from service.errors import InvalidImageError, RequestError
-from service.observability.timings import timed
 from service.pushing.contexts import VISUAL_SIZE, VisualContext
 from service.pushing.image_files import ImageLimits, read_image_file
 from service.pushing.image_quality import QualityFlag, quality_flags, thumbnail_png
@@ -102,11 +101,6 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
         UnsupportedImageError: another format.
         InvalidImageError: broken, truncated, animated, or more than one picture.
     """
-    with timed("decode"):
-        return _decode(content, limits, where)
-
-
-def _decode(content: bytes, limits: ImageLimits, where: str) -> GreyImage:
     file = read_image_file(content, limits, where)
     try:
         with Image.open(io.BytesIO(file.content), formats=(file.format,)) as image:
