@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Final
 
 RIDDLES: Final = ("whoever", "nobody", "somebody", "everybody", "nothing")
+QUESTIONS: Final = ("what", "who", "whose", "where", "how", "whether", "which", "when", "why", "that", "those")
+_ARTICLES: Final = ("a", "an", "the", "one", "every", "all", "each", "some", "many", "several", "two")
 _WORD: Final = re.compile(r"[A-Za-z][A-Za-z'-]*")
 _DIRECTIVE: Final = re.compile(r"#\s*(noqa|type:|pragma)")
 _HOLDERS: Final = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
@@ -65,10 +67,13 @@ def _comments(source: str) -> Iterator[str]:
 
 
 def _opens_with(text: str, openings: Sequence[str]) -> bool:
+    """Return whether the first word is one of these, or one of the first three words behind an article is."""
     words = [word.lower() for word in _WORD.findall(text.split("\n\n")[0].replace("`", ""))][:4]
-    if words and words[0] in ("a", "an", "the", "one", "every", "all", "each", "some", "many", "several", "two"):
+    if not words or words[0] in QUESTIONS:
+        return False
+    if words[0] in _ARTICLES:
         words = words[1:]
-    return bool(words) and any(_is_form_of(word, openings) for word in words[:3])
+    return any(_is_form_of(word, openings) for word in words[:3])
 
 
 def _is_form_of(word: str, openings: Sequence[str]) -> bool:
