@@ -1,4 +1,4 @@
-"""What the project says that a service does: its OpenAPI document, and the table of errors in docs/api.md."""
+"""The documented API: the OpenAPI document of the app, its examples, and the table of errors in docs/api.md."""
 
 import re
 from functools import cache
@@ -17,13 +17,13 @@ Json = dict[str, Any]
 
 @cache
 def document() -> Json:
-    """What the app says of itself when it wants keys: every answer that there can be."""
+    """Return the OpenAPI document of an app with API keys, which has every possible answer. No model is needed."""
     app = create_app(Settings(keys=Path("nowhere")), LoadedModels(Registry(Path("nowhere")), OnnxPredictor))
     return app.openapi()
 
 
 def examples_of(media: Json) -> dict[str, Json]:
-    """The examples of a media type by name, references followed."""
+    """Return the examples of a media type by name. References are resolved."""
     found = media.get("examples", {"": {"value": media["example"]}} if "example" in media else {})
     known = document()["components"]["examples"]
     return {name: known[one["$ref"].rpartition("/")[2]] if "$ref" in one else one for name, one in found.items()}
@@ -31,7 +31,7 @@ def examples_of(media: Json) -> dict[str, Json]:
 
 @cache
 def listed_errors() -> set[tuple[int, str]]:
-    """Every status and code of the table of errors."""
+    """Read each pair of status and code from the table of errors in docs/api.md."""
     page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     return {
         (int(status), code)

@@ -1,4 +1,4 @@
-"""Stand-ins for what is slow or outside: a predictor without onnxruntime, and folders of small whole models."""
+"""Fakes: predictors without onnxruntime, and registries of small but complete versions."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -20,15 +20,19 @@ from service.registry.registry import Registry
 STD = (0.001, 0.002, 0.03)
 BROKEN = b"broken"  # a model that the fake factory refuses
 LYING = b"lying"  # a model that loads and fails its self-check
-FAILING = b"failing"  # a model that passes its self-check and fails on every other push
-BUGGY = b"buggy"  # likewise, with an error that nobody expects
+FAILING = b"failing"  # a model that passes its self-check and raises PredictionError on every other push
+BUGGY = b"buggy"  # a model that passes its self-check and raises ZeroDivisionError on every other push
 CHECKED_PUSH = [-0.08, 0.0, 0.0]
 Gaussian = tuple[list[float], list[float]]
 
 
 @dataclass
 class FakePredictor:
-    """The object moves a tenth of the pusher's way to it, and turns by the number of ones in its context."""
+    """A predictor whose mean is -0.1 times the pusher pose. With a context, the angle is the sum of its values.
+
+    Attributes:
+        calls: pushers of each call, (n, 3).
+    """
 
     model: bytes
     takes_context: bool
@@ -52,25 +56,30 @@ class FakePredictor:
 
 
 def is_checked(pusher: FloatArray) -> bool:
-    """Whether these are the pushes of a self-check."""
+    """Return whether these are the pushes of a self-check."""
     return bool(pusher[0].tolist() == np.array(CHECKED_PUSH, dtype=np.float32).tolist())
 
 
 @dataclass
 class Gate:
-    """Holds every prediction that is no self-check, and tells of it, until it is opened."""
+    """A gate that blocks every prediction but self-checks until it is opened.
+
+    Attributes:
+        reached: released once per blocked prediction.
+        opened: set by a test to let all predictions continue.
+    """
 
     reached: Semaphore = field(default_factory=lambda: Semaphore(0))
     opened: Event = field(default_factory=Event)
 
     def load(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> "HeldPredictor":
-        """Create a predictor, as a factory does."""
+        """Create a predictor. See ``service.model.predictor.PredictorFactory``."""
         return HeldPredictor(model, len(inputs) > 1, gate=self)
 
 
 @dataclass
 class HeldPredictor(FakePredictor):
-    """Answers once its gate is open."""
+    """A predictor that answers once its gate is open."""
 
     gate: Gate = field(default_factory=Gate)
 
@@ -85,14 +94,18 @@ class HeldPredictor(FakePredictor):
 
 
 def load_fake(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> FakePredictor:
-    """Create a predictor, as a factory does."""
+    """Create a predictor. See ``service.model.predictor.PredictorFactory``.
+
+    Raises:
+        BrokenModelError: the model is ``BROKEN``.
+    """
     if model == BROKEN:
         raise BrokenModelError("model.onnx: the fake refuses it")
     return FakePredictor(model, len(inputs) > 1)
 
 
 def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
-    """A manifest whose self-check is what ``FakePredictor`` answers."""
+    """Create a manifest whose self-check holds the answer of ``FakePredictor``."""
     pusher = [CHECKED_PUSH]
     context = np.zeros((1, VISUAL_SIZE**2 if kind is ContextKind.VISUAL else INDICATOR_LENGTH), dtype=np.float32)
     context[0, :3] = 1.0
@@ -126,7 +139,7 @@ def publish_fake(
     model: bytes = b"fine",
     alias: str | None = "champion",
 ) -> int:
-    """Publish a fake model and point an alias at it; the version."""
+    """Publish a fake model, point an alias at it and return its version."""
     version = registry.publish(draft_manifest(name, kind), model, f"# {name}\n").version
     if alias is not None:
         registry.point_alias(name, alias, version)
@@ -134,7 +147,7 @@ def publish_fake(
 
 
 def fake_models(root: Path) -> tuple[Registry, LoadedModels]:
-    """A registry with one indicator model and one without context, and what serves it."""
+    """Create a registry with an indicator model and a model without context, and load its models."""
     registry = Registry(root)
     publish_fake(registry)
     publish_fake(registry, "push-none", ContextKind.NONE)
@@ -144,7 +157,7 @@ def fake_models(root: Path) -> tuple[Registry, LoadedModels]:
 
 
 def all_fake_models(folder: Path) -> tuple[Registry, LoadedModels]:
-    """Fakes of every kind, and one that fails but for the push of its self-check, loaded."""
+    """Create a registry with a model of each context kind and a failing model, and load its models."""
     registry, models = fake_models(folder)
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     publish_fake(registry, "push-failing", model=FAILING)
@@ -155,7 +168,7 @@ def all_fake_models(folder: Path) -> tuple[Registry, LoadedModels]:
 def predict_push(
     model: LoadedModel, pusher: Sequence[float], context: ObjectContext | VisualContext | None
 ) -> Gaussian:
-    """Predict one push, as a query does: mean and std, three numbers each, in m, m, rad in the object frame."""
+    """Predict one push as a query does. Return mean and std, three numbers each, in m, m, rad in the object frame."""
     kind = ContextKind.NONE if context is None else context.kind
     tensor, index = (None, None) if context is None else (context.tensor()[None], FIRST_CONTEXT)
     batch = ContextBatch(kind, tensor, index, "context")

@@ -67,9 +67,7 @@ def _answer(connection: socket.socket, parts: Reply, received: Received, done: t
                 if len(parts) > 1 and done.wait(BETWEEN_PARTS_S):
                     return
             connection.shutdown(socket.SHUT_WR)
-            while connection.recv(
-                65536
-            ):  # reads the rest of the request, because closing earlier would reset the connection
-                pass
+            while connection.recv(65536):
+                pass  # reads the rest of the request, because closing earlier would reset the connection
         except OSError:
             return  # the client closed the connection

@@ -1,4 +1,4 @@
-"""KServe's inference SDK against a service: a script, since it runs in an environment of its own.
+"""Script that calls a service with KServe's inference SDK. The SDK needs an environment of its own.
 
 python tests/kserve_client.py URL INDICATOR
 """
@@ -15,7 +15,7 @@ MODEL = "push-indicator"
 
 
 async def main(url: str, indicator: str) -> None:
-    """Ask what the SDK can ask; an assertion fails where the answer is another one."""
+    """Call health, inference in JSON and binary, and an unknown model. A wrong answer fails an assertion."""
     client = InferenceRESTClient(RESTConfig(protocol="v2", retries=1))
     assert await client.is_server_live(url)
     assert await client.is_server_ready(url)
@@ -38,12 +38,12 @@ async def main(url: str, indicator: str) -> None:
         answers.append([output.as_numpy() for output in response.outputs])
     assert all((one == other).all() for one, other in zip(*answers, strict=True))
     assert [output.shape for output in answers[0]] == [(2, 3), (2, 3)]
-    told = ""
+    message = ""
     try:
         await client.infer(url, InferRequest(model_name="nobody", infer_inputs=inputs), model_name="nobody")
     except httpx.HTTPStatusError as error:
-        told = str(error)
-    assert "accepted is" in told
+        message = str(error)
+    assert "accepted is" in message
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Bodies of requests for predictions that are in order, nearly so, or odd: what every way in must agree about."""
+"""Hypothesis strategies for prediction requests: valid, nearly valid and odd bodies."""
 
 import base64
 

@@ -1,7 +1,7 @@
-"""A real service process for tests: real sockets, the runtime, the model that ships and a small visual one.
+"""A running service for tests: a real process with sockets, onnxruntime, the shipped models and a small visual model.
 
-``CAZSL_TEST_CONTAINER`` has the tests that ask over HTTP start a container instead: a command in which ``{settings}``
-becomes options ``--env NAME=VALUE`` and ``{folder}`` the folder that holds the registry, see docs/operations.md.
+``CAZSL_TEST_CONTAINER`` is a command that starts a container instead. In it ``{settings}`` is replaced by options
+``--env NAME=VALUE``, and ``{folder}`` by the folder of the registry. See docs/operations.md.
 """
 
 import http.client
@@ -40,11 +40,11 @@ from service.transport.connection import connection_class
 from tests.fakes import draft_manifest
 
 ROOT = Path(__file__).resolve().parent.parent
-PATIENCE_S = 60.0  # machines are shared: this bounds a hang, it measures nothing
+PATIENCE_S = 60.0  # bounds a hang and is not a measurement
 
 
 def visual_model() -> bytes:
-    """A graph of the contract: the object moves a tenth of the pusher's way to it, and turns by its mean grey level."""
+    """Build a visual graph: mean is -0.1 times the pusher pose, with the mean grey level added to the angle."""
     size = [VISUAL_SIZE, VISUAL_SIZE]
     floats = TensorProto.FLOAT
     nodes = [
@@ -76,7 +76,7 @@ def visual_model() -> bytes:
 
 
 def publish_visual(registry: Registry) -> None:
-    """Publish that graph as push-visual."""
+    """Publish the visual graph as the champion of push-visual."""
     model = visual_model()
     pusher = np.array([[-0.08, 0.0, 0.0]], dtype=np.float32)
     context = np.zeros((1, 1, VISUAL_SIZE, VISUAL_SIZE), dtype=np.float32)
@@ -91,7 +91,7 @@ def publish_visual(registry: Registry) -> None:
 
 
 def free_port() -> int:
-    """A port that nobody listens on."""
+    """Return a port without a listener."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
@@ -99,10 +99,10 @@ def free_port() -> int:
 
 @contextmanager
 def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
-    """A service over the models that ship and a visual one, on a port; ended in order, it must exit with 0."""
+    """Run a service over the shipped models and a visual one. Yield its port and process. Expect exit status 0."""
     shutil.copytree(ROOT / "models", folder / "models")
     publish_visual(Registry(folder / "models"))
-    folder.chmod(0o755)  # the user of a container is another one
+    folder.chmod(0o755)  # a container runs as another user
     port = free_port()
     environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(folder / "models"), "CAZSL_LOG_LEVEL": "WARNING"}
     environment |= {f"CAZSL_{name.upper()}": str(value) for name, value in settings.items()}
@@ -110,7 +110,7 @@ def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Po
     with (folder / "log").open("w") as log:
         process = subprocess.Popen(command, cwd=ROOT, env={**os.environ, **environment}, stdout=log, stderr=log)
     try:
-        _wait(process, port, folder / "log")
+        _wait_until_ready(process, port, folder / "log")
         yield port, process
         process.terminate()
         assert process.wait(PATIENCE_S) == 0, (folder / "log").read_text()
@@ -121,7 +121,7 @@ def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Po
 
 @contextmanager
 def serve_in_thread(models: LoadedModels, **settings: Any) -> Iterator[httpx2.Client]:
-    """A service over these models, which may be fakes, on a real port of this process; a client of it."""
+    """Run a service over these models, which may be fakes, in a thread of this process. Yield a client."""
     chosen = Settings(poll_interval_s=3600, **settings)
     app = create_app(chosen, models, RequestLog(io.StringIO()))
     connection = connection_class(chosen.body_timeout_s, app.requests.refuse)
@@ -139,7 +139,7 @@ def serve_in_thread(models: LoadedModels, **settings: Any) -> Iterator[httpx2.Cl
 
 
 def _command(environment: dict[str, str], folder: Path) -> list[str]:
-    """What starts a service: this interpreter, or the container that was asked for."""
+    """Return the command that starts a service: this interpreter, or the container of ``CAZSL_TEST_CONTAINER``."""
     container = os.environ.get("CAZSL_TEST_CONTAINER")
     if container is None:
         return [sys.executable, "-c", "from service.cli.main import main; main()", "serve"]
@@ -148,7 +148,7 @@ def _command(environment: dict[str, str], folder: Path) -> list[str]:
 
 
 def is_ready(port: int) -> bool:
-    """Whether the service answers, on a connection of its own."""
+    """Return whether /readyz answers with 200 on a new connection."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
     try:
         connection.request("GET", "/readyz")
@@ -160,20 +160,20 @@ def is_ready(port: int) -> bool:
 
 
 def rss_mib(process: subprocess.Popen[bytes]) -> float:
-    """Memory that a process holds now."""
+    """Return the resident memory of a process in MiB."""
     pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
-    """Wait for a condition that will hold, or fail."""
+    """Poll until a condition holds, for a minute at most."""
     end = time.monotonic() + PATIENCE_S
     while not condition():
-        assert time.monotonic() < end, "it never happened"
+        assert time.monotonic() < end, "the condition did not hold within a minute"
         time.sleep(0.02)
 
 
-def _wait(process: subprocess.Popen[bytes], port: int, log: Path) -> None:
+def _wait_until_ready(process: subprocess.Popen[bytes], port: int, log: Path) -> None:
     end = time.monotonic() + PATIENCE_S
     while not is_ready(port):
         assert process.poll() is None, log.read_text()

@@ -1,6 +1,6 @@
-"""Generated requests, by schema and by mutation: no 5xx, bounded memory, and what is answered is what is documented.
+"""Generated requests, by schema and by mutation: no status 5xx, bounded memory, and answers as documented.
 
-``CAZSL_FUZZ_REQUESTS`` says how many mutations; ``make fuzz`` makes 100,000 and prints what came of them.
+``CAZSL_FUZZ_REQUESTS`` is the number of mutations. ``make fuzz`` sends 100,000 and prints the count of each status.
 """
 
 import asyncio
@@ -26,12 +26,12 @@ from service.registry.registry import Registry
 from service.settings import Settings
 from tests.running_service import ROOT
 from tests.valid_bodies import (
-    is_lost_in_a_form,
-    mean_a_file,
-    mean_an_inference,
-    mean_an_upload,
-    mean_many_pushes,
-    mean_one_push,
+    cannot_be_sent_as_form,
+    make_batch_valid,
+    make_image_valid,
+    make_inference_valid,
+    make_push_valid,
+    make_upload_valid,
     picture,
 )
 
@@ -42,7 +42,7 @@ PIECES = (b"0", b"-", b"1e999", b"NaN", b"null", b"[", b"]", b"{", b"}", b'"', b
 
 
 def make_app() -> Service:
-    """The service over the models that ship."""
+    """Create the service over the shipped models."""
     models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
     models.refresh()
     app = create_app(Settings(poll_interval_s=3600), models)
@@ -53,41 +53,41 @@ def make_app() -> Service:
 schema = schemathesis.openapi.from_asgi("/openapi.json", make_app())
 for kind in IMAGE_TYPES:
     schemathesis.openapi.media_type(kind, st.integers(0, 2**32).map(picture))
-MEANINGS: dict[str, Callable[[dict[str, Any]], None]] = {
-    "/v1/predict": mean_one_push,
-    "/v1/predict/batch": mean_many_pushes,
-    "/v1/predict/image": mean_an_upload,
-    "/v1/contexts": mean_a_file,
-    "/v2/models/{name}/infer": mean_an_inference,
-    "/v2/models/{name}/versions/{version}/infer": mean_an_inference,
+MAKE_VALID: dict[str, Callable[[dict[str, Any]], None]] = {
+    "/v1/predict": make_push_valid,
+    "/v1/predict/batch": make_batch_valid,
+    "/v1/predict/image": make_upload_valid,
+    "/v1/contexts": make_image_valid,
+    "/v2/models/{name}/infer": make_inference_valid,
+    "/v2/models/{name}/versions/{version}/infer": make_inference_valid,
 }
 
 
 @schema.parametrize()
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 def test_every_answer_is_as_documented(case: schemathesis.Case[Any]) -> None:
-    """Statuses, types, schemas, methods, what is taken and what is refused: all checks for all operations.
+    """Run every check of schemathesis on every operation: status, media type, schema, method, valid and invalid bodies.
 
-    What no schema says of the fields of a prediction together is made true first; see ``tests.valid_bodies``.
+    Bodies are first made valid by the rules that no schema expresses. See ``tests.valid_bodies``.
     """
-    mean = MEANINGS.get(case.operation.path)
+    make_valid = MAKE_VALID.get(case.operation.path)
     if case.meta is not None and case.meta.generation.mode.is_negative:
-        assume(case.media_type != FORM_TYPE or not is_lost_in_a_form(case.body))
-    elif mean is not None and isinstance(case.body, dict):
-        mean(case.body)
+        assume(case.media_type != FORM_TYPE or not cannot_be_sent_as_form(case.body))
+    elif make_valid is not None and isinstance(case.body, dict):
+        make_valid(case.body)
     case.call_and_validate()
 
 
 class Corpus:
-    """Requests to begin with, and mutations of them."""
+    """Mutations of the requests in tests/attacks/http."""
 
     def __init__(self, seed: int) -> None:
         files = sorted((ROOT / "tests" / "attacks" / "http").glob("*.http"))
         self._found = [match for path in files if (match := REQUEST.fullmatch(path.read_bytes()))]
-        self._random = random.Random(seed)  # noqa: S311  # a test that can be repeated
+        self._random = random.Random(seed)  # noqa: S311  # a seed makes the test repeatable
 
     def request(self) -> tuple[str, str, list[tuple[bytes, bytes]], bytes]:
-        """Method, path, headers and a body with a few pieces cut, repeated or replaced."""
+        """Return method, path, headers and a body with up to four parts cut, repeated or replaced."""
         match = self._random.choice(self._found)
         lines = [line.partition(b": ") for line in match["head"].split(b"\r\n")]
         headers = [(name.lower(), value) for name, _, value in lines if name.lower() != b"content-length"]
@@ -102,15 +102,13 @@ class Corpus:
 
 
 async def ask(app: Service, method: str, path: str, headers: list[tuple[bytes, bytes]], body: bytes) -> int:
-    """The status of the answer."""
+    """Send one request to the app and return the status of the answer."""
     sent: list[Message] = []
 
     async def receive() -> Message:
-        """What the client sends."""
         return {"type": "http.request", "body": body, "more_body": False}
 
     async def send(message: Message) -> None:
-        """What the client is sent."""
         sent.append(message)
 
     scope: dict[str, Any] = {
@@ -131,29 +129,28 @@ async def ask(app: Service, method: str, path: str, headers: list[tuple[bytes, b
 
 
 def rss_mib() -> float:
-    """Memory that this process holds."""
+    """Return the resident memory of this process in MiB."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
 
 
 def test_no_mutation_of_an_attack_gets_a_5xx(caplog: pytest.LogCaptureFixture) -> None:
-    """Whatever comes: an answer or a refusal, bounded memory, and a prediction is answered after all of them."""
+    """Send mutated attacks. No status is 5xx, memory is bounded, and a prediction is answered after the last one."""
     caplog.set_level("ERROR")
     corpus, counts = Corpus(seed=0), Counter[tuple[str, int]]()
     plain = b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"descriptor": "1a2b3c4a"}}'
 
     async def scenario() -> float:
-        """What happens, in the loop."""
         app, before = make_app(), 0.0
-        for number in range(REQUESTS):
-            method, path, headers, body = corpus.request()
-            status = await ask(app, method, path, headers, body)
-            assert status < 500, (method, path, headers, body)
-            counts[path if path.startswith(("/v1/predict", "/v1/contexts", "/v2")) else "others", status] += 1
-            if number == REQUESTS // 5:
-                before = rss_mib()
-        assert await ask(app, "POST", "/v1/predict", [(b"content-type", b"application/json")], plain) == 200
-        app.state.workers.close()
-        return rss_mib() - before
+        async with app.router.lifespan_context(app):
+            for number in range(REQUESTS):
+                method, path, headers, body = corpus.request()
+                status = await ask(app, method, path, headers, body)
+                assert status < 500, (method, path, headers, body)
+                counts[path if path.startswith(("/v1/predict", "/v1/contexts", "/v2")) else "others", status] += 1
+                if number == REQUESTS // 5:
+                    before = rss_mib()
+            assert await ask(app, "POST", "/v1/predict", [(b"content-type", b"application/json")], plain) == 200
+            return rss_mib() - before
 
     growth = asyncio.run(scenario())
     print(f"\n{REQUESTS} requests, memory grew by {growth:.1f} MiB after the first fifth")  # noqa: T201  # the report
