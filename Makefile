@@ -13,20 +13,23 @@ lock = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generat
 help: ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
 
-# One stamp file per set of dependencies, so they are installed again only if pyproject.toml changes.
-$(VENV)/serving: pyproject.toml
+# A stamp per set of dependencies: they are installed again only when pyproject.toml changes. A larger set holds the
+# smaller ones and is installed in one step: each step of pip resolves all dependencies anew.
+$(BIN)/python:
 	$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make PYTHON=python3.11 ...") if sys.version_info < (3, 11) else None'
-	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/serving: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable .
 	touch $@
 
-$(VENV)/training: $(VENV)/serving
+$(VENV)/training: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[training]'
-	touch $@
+	touch $(VENV)/serving $@
 
-$(VENV)/dev: $(VENV)/training
+$(VENV)/dev: pyproject.toml | $(BIN)/python
 	$(BIN)/python -m pip install --quiet --editable '.[training,dev]'
-	touch $@
+	touch $(VENV)/serving $(VENV)/training $@
 
 serve: $(VENV)/serving ## serve models/ on 127.0.0.1:8000 (no torch needed)
 	$(BIN)/cazsl serve
@@ -41,8 +44,9 @@ train: data ## fit MODEL, measure it, fit it again on all objects, publish its n
 	$(BIN)/cazsl-train fit $(MODEL) --set-up all-objects --run runs/$(MODEL)-all
 	$(BIN)/cazsl-train publish runs/$(MODEL)-all --measured runs/$(MODEL)
 
-test: $(VENV)/dev ## run all tests
-	$(BIN)/pytest
+# The tests of a module run in one process, for the fixtures that they share (tests/conftest.py).
+test: $(VENV)/dev ## run all tests, on all cores
+	$(BIN)/pytest --numprocesses auto --maxprocesses 8 --dist loadgroup --no-loadscope-reorder
 
 fuzz: $(VENV)/dev ## send 100,000 generated requests and count the answers by route and status: a minute or two
 	CAZSL_FUZZ_REQUESTS=100000 $(BIN)/pytest -s tests/test_fuzz.py
@@ -52,7 +56,7 @@ check: $(VENV)/dev ## check format, lint, types, docstrings, imports, OpenAPI, D
 	$(BIN)/ruff check $(SOURCES)
 	$(BIN)/mypy
 	$(BIN)/interrogate --quiet service training tests benchmarks
-	$(BIN)/pytest --quiet tests/test_layers.py tests/test_openapi.py tests/test_deploy.py
+	$(BIN)/pytest --quiet tests/test_layers.py tests/test_language.py tests/test_openapi.py tests/test_deploy.py
 	$(BIN)/hadolint Dockerfile
 
 format: $(VENV)/dev ## repair format and order of imports
