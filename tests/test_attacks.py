@@ -1,4 +1,4 @@
-"""Raw bytes against a real service process: the corpus of attacks, slow and endless clients. It answers after each."""
+"""Attacks on a service process with raw bytes: the corpus of attacks, slow clients, bodies and heads without an end."""
 
 import json
 import socket
@@ -26,17 +26,17 @@ class Service:
         self.memory = memory
 
     def connect(self) -> socket.socket:
-        """A connection that gives up after a minute."""
+        """Connect, with a timeout of a minute."""
         return socket.create_connection(("127.0.0.1", self.port), timeout=60.0)
 
     def send(self, *pieces: bytes) -> tuple[int, dict[str, str], bytes]:
-        """Status, headers and body of the answer to these bytes."""
+        """Send bytes. Return status, headers and body of the answer."""
         with self.connect() as connection:
             try:
                 for piece in pieces:
                     connection.sendall(piece)
             except (ConnectionResetError, BrokenPipeError):
-                pass  # it had answered before all was sent
+                pass  # the service answered before all bytes were sent
             return read_answer(connection)
 
 
@@ -63,7 +63,7 @@ def read_answer(connection: socket.socket) -> tuple[int, dict[str, str], bytes]:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """A service that waits a second for heads and bodies; its memory is looked at when all is over."""
+    """Run a service that waits a second for heads and bodies. Check after all tests that its memory is bounded."""
     with serve(tmp_path_factory.mktemp("attacks"), body_timeout_s=SLOW_S) as (port, process):
         found = Service(port, process)
         assert found.send(HEAD + b"Content-Length: %d\r\n\r\n" % len(BODY) + BODY)[0] == 200
@@ -74,19 +74,19 @@ def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
 
 @pytest.fixture(autouse=True)
 def alive(service: Service) -> Iterator[None]:
-    """Every attack ends with the question whether the service answers."""
+    """Check after every attack that the service is ready."""
     yield
     assert is_ready(service.port)
 
 
-def test_the_corpus_is_there() -> None:
-    """A corpus that is not found attacks nothing."""
+def test_the_corpus_is_found() -> None:
+    """The corpus of attacks is found. Without it the other tests would pass without an attack."""
     assert len(CORPUS) > 45
 
 
 @pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.stem)
 def test_an_attack_gets_the_status_in_its_name(service: Service, path: Path) -> None:
-    """As a problem, or as the protocol's error under /v2; without a path, a trace or an echo."""
+    """An attack gets the status in its file name, as a problem or an error of /v2, without a path or a traceback."""
     status, headers, body = service.send(path.read_bytes())
     assert status == int(path.stem.partition("-")[0]), body
     if status != 200:
@@ -100,26 +100,26 @@ def test_an_attack_gets_the_status_in_its_name(service: Service, path: Path) -> 
 
 
 def test_a_body_of_one_byte_a_chunk_is_read(service: Service) -> None:
-    """However a client chops it."""
+    """A body that is sent in chunks of one byte is read like any other."""
     chunks = b"".join(b"1\r\n%c\r\n" % byte for byte in BODY) + b"0\r\n\r\n"
     assert service.send(HEAD + b"Transfer-Encoding: chunked\r\n\r\n", chunks)[0] == 200
 
 
 def test_a_million_tiny_chunks_are_bounded(service: Service) -> None:
-    """They end as a body that is no JSON, or as one that is not there in time."""
+    """A million tiny chunks are refused as a malformed body or as a slow one."""
     head = HEAD + b"Transfer-Encoding: chunked\r\n\r\n"
     status, _, _ = service.send(head, *([b"1\r\n \r\n" * 10_000] * 100), b"0\r\n\r\n")
     assert status in (400, 408)
 
 
 def test_chunks_beyond_the_limit_are_refused_without_an_end(service: Service) -> None:
-    """13 MiB of a body that never ends."""
+    """A chunked body over the limit is refused with 413 before it ends. This one has 13 MiB."""
     chunk = b"100000\r\n" + b" " * (1 << 20) + b"\r\n"
     assert service.send(HEAD + b"Transfer-Encoding: chunked\r\n\r\n", *([chunk] * 13))[0] == 413
 
 
 def test_a_head_without_end_is_refused(service: Service) -> None:
-    """One header of a megabyte, and many small ones."""
+    """A head without an end is refused with 431: one header of a megabyte, many small headers, or a long target."""
     assert service.send(b"GET /livez HTTP/1.1\r\nX: ", *([b"a" * 65536] * 16))[0] == 431
     assert service.send(b"GET /livez HTTP/1.1\r\n", *([b"X: a\r\n" * 10_000] * 16))[0] == 431
     assert service.send(b"GET /", *([b"a" * 65536] * 16))[0] == 431
@@ -135,8 +135,8 @@ def test_a_head_without_end_is_refused(service: Service) -> None:
     ],
     ids=["empty lines", "head", "body", "chunks"],
 )
-def test_a_client_that_drips_is_cut(service: Service, start: bytes, drip: bytes, code: str) -> None:
-    """408 after the time that it has; the byte it sends now and then buys nothing. Others are answered meanwhile."""
+def test_a_client_that_drips_gets_a_408(service: Service, start: bytes, drip: bytes, code: str) -> None:
+    """A client that sends a byte now and then gets a 408 after the time limit. Other clients are answered meanwhile."""
     with service.connect() as slow:
         slow.sendall(start)
         done = threading.Event()
@@ -159,8 +159,8 @@ def test_a_client_that_drips_is_cut(service: Service, start: bytes, drip: bytes,
     assert (status, json.loads(body)["code"], headers["connection"]) == (408, code, "close")
 
 
-def test_a_client_that_says_nothing_is_cut(service: Service) -> None:
-    """Two hundred of them, and others are answered meanwhile."""
+def test_silent_clients_get_a_408(service: Service) -> None:
+    """Two hundred clients that send no byte get a 408. Other clients are answered meanwhile."""
     silent = [service.connect() for _ in range(200)]
     try:
         assert is_ready(service.port)
@@ -170,15 +170,15 @@ def test_a_client_that_says_nothing_is_cut(service: Service) -> None:
             connection.close()
 
 
-def test_clients_that_vanish_leave_nothing(service: Service) -> None:
-    """In the middle of a body, three hundred times."""
+def test_clients_that_disconnect_in_a_body_do_no_harm(service: Service) -> None:
+    """Three hundred clients disconnect in the middle of a body. The service stays ready, and its memory bounded."""
     for _ in range(300):
         with service.connect() as connection:
             connection.sendall(HEAD + b"Content-Length: 100000\r\n\r\n" + b" " * 50_000)
 
 
 def test_pipelined_requests_are_answered_in_order(service: Service) -> None:
-    """A hundred requests in one go on one connection."""
+    """A hundred requests that are sent at once on one connection get a hundred answers."""
     request = HEAD.replace(b"Connection: close\r\n", b"") + b"Content-Length: %d\r\n\r\n" % len(BODY) + BODY
     with service.connect() as connection:
         connection.sendall(request * 100)

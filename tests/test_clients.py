@@ -1,7 +1,7 @@
-"""Other people's clients, unchanged, against a real service process: tritonclient, blocking and asyncio; KServe's SDK.
+"""Third-party clients against a service process: tritonclient, blocking and asyncio, and KServe's SDK.
 
-KServe's SDK wants another protobuf than the trainer's onnx, so it has an environment of its own: KSERVE_PYTHON
-names its interpreter (``python -m venv kserve && kserve/bin/pip install kserve==0.21.0``).
+KServe's SDK needs another protobuf than the trainer's onnx, and so an environment of its own. KSERVE_PYTHON is its
+interpreter (``python -m venv kserve && kserve/bin/pip install kserve==0.21.0``).
 """
 
 import asyncio
@@ -31,20 +31,20 @@ CHAMPION = str(SHIPPED.aliases("push-indicator")["champion"])
 
 @pytest.fixture(scope="module")
 def url(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """Where the service is."""
+    """Run a service. Return its host and port."""
     with serve(tmp_path_factory.mktemp("clients")) as (port, _):
         yield f"127.0.0.1:{port}"
 
 
 @pytest.fixture(scope="module")
 def client(url: str) -> Iterator[blocking.InferenceServerClient]:
-    """The blocking client."""
+    """Return the blocking client of the service."""
     with blocking.InferenceServerClient(url) as found:
         yield found
 
 
 def inputs(module: Any, *, binary: bool = True) -> list[Any]:
-    """The tensors of two pushes of one object, as the client has them."""
+    """Create the input tensors of two pushes of one object, in the classes of a client."""
     found = []
     for name, array in (("pusher", PUSHES), ("context", CONTEXT), ("context_index", INDEX)):
         tensor = module.InferInput(name, list(array.shape), "INT64" if array.dtype == np.int64 else "FP32")
@@ -54,7 +54,7 @@ def inputs(module: Any, *, binary: bool = True) -> list[Any]:
 
 
 def test_health_and_metadata(client: blocking.InferenceServerClient) -> None:
-    """What a client asks first."""
+    """The client reads health, readiness per model, and the metadata of the server and of a model."""
     assert client.is_server_live()
     assert client.is_server_ready()
     assert client.is_model_ready("push-indicator")
@@ -73,7 +73,7 @@ def test_health_and_metadata(client: blocking.InferenceServerClient) -> None:
 def test_inference_in_every_form(
     client: blocking.InferenceServerClient, binary_in: bool, binary_out: bool, packed: str | None
 ) -> None:
-    """Binary or JSON, in and out, compressed or not: the same numbers."""
+    """Every form of inference gives the same numbers: binary or JSON, in and out, compressed or not."""
     outputs = [blocking.InferRequestedOutput(name, binary_data=binary_out) for name in ("mean", "std")]
     result = client.infer(
         "push-indicator",
@@ -93,8 +93,8 @@ def test_inference_in_every_form(
     assert (response["model_name"], response["model_version"], response["id"]) == ("push-indicator", CHAMPION, "42")
 
 
-def test_a_visual_model_is_asked_like_any_other(client: blocking.InferenceServerClient) -> None:
-    """Images as tensors."""
+def test_a_visual_model_predicts_from_an_image_tensor(client: blocking.InferenceServerClient) -> None:
+    """A visual model takes its images as a tensor, as any other model takes its context."""
     pusher, context = (
         blocking.InferInput("pusher", [2, 3], "FP32"),
         blocking.InferInput("context", [1, 1, 32, 32], "FP32"),
@@ -106,16 +106,16 @@ def test_a_visual_model_is_asked_like_any_other(client: blocking.InferenceServer
 
 
 @pytest.mark.parametrize("name", ["nobody", "push-visual"])
-def test_an_error_is_a_text_that_the_client_shows(client: blocking.InferenceServerClient, name: str) -> None:
-    """An unknown model, and a model that wants other tensors."""
+def test_an_error_reaches_the_user_of_a_client(client: blocking.InferenceServerClient, name: str) -> None:
+    """The client shows the text of an error, of an unknown model and of a model with other tensors."""
     with pytest.raises(InferenceServerException) as raised:
         client.infer(name, inputs(blocking))
     assert "accepted is" in str(raised.value)
     assert raised.value.status() in ("404", "400")
 
 
-def test_numbers_that_are_not_finite_are_refused_by_tensor_and_place(client: blocking.InferenceServerClient) -> None:
-    """The client sends NaN in JSON as it is."""
+def test_numbers_that_are_not_finite_are_refused_by_tensor_and_row(client: blocking.InferenceServerClient) -> None:
+    """NaN is refused with its tensor and position, in binary and in JSON. The client sends it in both."""
     for binary in (True, False):
         tensors = inputs(blocking, binary=binary)
         tensors[0].set_data_from_numpy(np.full((2, 3), np.nan, dtype=np.float32), binary_data=binary)
@@ -123,11 +123,10 @@ def test_numbers_that_are_not_finite_are_refused_by_tensor_and_place(client: blo
             client.infer("push-indicator", tensors)
 
 
-def test_the_asyncio_client_speaks_too(url: str) -> None:
-    """The same, many at once."""
+def test_the_asyncio_client_works(url: str) -> None:
+    """The asyncio client reads health and metadata, sends 20 concurrent requests and shows the text of an error."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
         async with concurrent.InferenceServerClient(url) as client:
             assert await client.is_server_live()
             assert await client.is_server_ready()
@@ -148,10 +147,10 @@ def test_the_asyncio_client_speaks_too(url: str) -> None:
 
 @pytest.mark.skipif(
     KSERVE is None,
-    reason="kserve wants protobuf < 7: KSERVE_PYTHON names no interpreter with it",
+    reason="kserve needs protobuf < 7: KSERVE_PYTHON names no interpreter with it",
 )
-def test_the_sdk_of_kserve_speaks_too(url: str) -> None:
-    """Health, inference in both forms, and the text of an error."""
+def test_the_sdk_of_kserve_works(url: str) -> None:
+    """KServe's SDK reads health, runs inference in JSON and binary, and shows the text of an error."""
     script = str(ROOT / "tests" / "kserve_client.py")
     bits = "".join(str(int(bit)) for bit in CONTEXT[0])
     done = subprocess.run([KSERVE or "", script, f"http://{url}", bits], capture_output=True, text=True, check=False)
