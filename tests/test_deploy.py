@@ -1,4 +1,4 @@
-"""What is under deploy/ is what it says: manifests that Kubernetes takes, names that exist, numbers that fit."""
+"""The files of deploy/: manifests are valid, the names in them exist, and their numbers agree."""
 
 import copy
 import json
@@ -28,8 +28,8 @@ from tests.fakes import BROKEN, fake_models, publish_fake
 
 DEPLOY = ROOT / "deploy"
 OVERLAYS = ("baked", "volume", "s3")
-OF_THE_OPERATOR = {"ServiceMonitor", "PrometheusRule"}  # not Kubernetes's own, so not in its schemas
-KUBERNETES = ("1.30", "1.37")  # the oldest that is meant to work, and the newest that the validator knows
+OF_THE_OPERATOR = {"ServiceMonitor", "PrometheusRule"}  # not in the schemas of Kubernetes
+KUBERNETES = ("1.30", "1.37")  # the oldest supported version, and the newest that the validator knows
 LABELS_OF_PROMETHEUS = {"job", "instance", "le", "__name__"}
 ALERTS = yaml.safe_load((DEPLOY / "prometheus" / "alerts.yaml").read_text(encoding="utf-8"))
 DASHBOARD = json.loads((DEPLOY / "grafana" / "cazsl.json").read_text(encoding="utf-8"))
@@ -44,7 +44,7 @@ def _built(overlay: str) -> str:
 
 
 def manifests(overlay: str) -> dict[str, Any]:
-    """What an overlay installs, by kind, built by Kubernetes's own tool."""
+    """Build the manifests of an overlay with kubectl. Return them by kind."""
     found = list(yaml.safe_load_all(_built(overlay)))
     by_kind = {document["kind"]: document for document in found}
     assert len(by_kind) == len(found)
@@ -52,12 +52,12 @@ def manifests(overlay: str) -> dict[str, Any]:
 
 
 def pod(overlay: str) -> Any:
-    """The pod of an overlay."""
+    """Return the pod of an overlay."""
     return manifests(overlay)["Deployment"]["spec"]["template"]["spec"]
 
 
 def environment(overlay: str) -> dict[str, str]:
-    """The environment of its container."""
+    """Return the environment variables of the container of an overlay."""
     return {entry["name"]: entry["value"] for entry in pod(overlay)["containers"][0]["env"]}
 
 
@@ -66,15 +66,15 @@ each_overlay = pytest.mark.parametrize("overlay", OVERLAYS)
 
 @each_overlay
 @pytest.mark.parametrize("release", KUBERNETES)
-def test_kubernetes_would_take_every_manifest(overlay: str, release: str) -> None:
-    """Against its own schemas, unknown fields refused."""
+def test_every_manifest_is_valid(overlay: str, release: str) -> None:
+    """Every manifest is valid under the schemas of Kubernetes, which refuse unknown fields."""
     for kind, document in manifests(overlay).items():
         if kind not in OF_THE_OPERATOR:
             kubernetes_validate.validate(document, release, strict=True)
 
 
-def test_the_validator_would_notice() -> None:
-    """A field that is misspelt, one of the wrong type."""
+def test_the_validator_refuses_an_invalid_manifest() -> None:
+    """The validator refuses a misspelt field and a field of the wrong type."""
     deployment = manifests("baked")["Deployment"]
     for change in ({"replica": 2}, {"replicas": "two"}):
         wrong = copy.deepcopy(deployment)
@@ -85,7 +85,7 @@ def test_the_validator_would_notice() -> None:
 
 @each_overlay
 def test_an_overlay_installs_everything(overlay: str) -> None:
-    """Nothing got lost on the way from the base."""
+    """An overlay installs every kind of its base."""
     expected = {
         *("ServiceAccount", "Deployment", "Service", "PodDisruptionBudget"),
         *("HorizontalPodAutoscaler", "NetworkPolicy", *OF_THE_OPERATOR),
@@ -94,8 +94,8 @@ def test_an_overlay_installs_everything(overlay: str) -> None:
 
 
 @each_overlay
-def test_the_container_may_do_nothing_that_it_need_not(overlay: str) -> None:
-    """Nobody in particular, a read-only root, no capability, the runtime's system calls only, no token."""
+def test_the_container_has_no_needless_privilege(overlay: str) -> None:
+    """The container has a plain user, a read-only root, no capability, the default system calls and no token."""
     found = pod(overlay)
     assert found["securityContext"]["runAsNonRoot"] is True
     assert found["securityContext"]["runAsUser"] == 10001
@@ -110,8 +110,8 @@ def test_the_container_may_do_nothing_that_it_need_not(overlay: str) -> None:
 
 
 @each_overlay
-def test_probes_ask_routes_that_exist_on_the_port_that_is_listened_on(overlay: str) -> None:
-    """Alive is not ready: a registry that is gone must not restart what serves."""
+def test_probes_request_documented_routes_on_the_port_of_the_service(overlay: str) -> None:
+    """Liveness requests /livez, not /readyz, because a missing registry must not restart a service with models."""
     container = pod(overlay)["containers"][0]
     ports = {port["name"]: port["containerPort"] for port in container["ports"]}
     assert ports["metrics"] == int(environment(overlay)["CAZSL_METRICS_PORT"])
@@ -123,11 +123,11 @@ def test_probes_ask_routes_that_exist_on_the_port_that_is_listened_on(overlay: s
 
 
 @each_overlay
-def test_what_is_set_are_settings_and_time_enough_to_end_well(overlay: str) -> None:
-    """An unknown name would stop the start; what is killed while it drains loses requests."""
+def test_the_environment_holds_known_settings_and_leaves_time_to_drain(overlay: str) -> None:
+    """Every variable is a setting, because an unknown one stops the start, and a pod is killed only after its drain."""
     values = {name.removeprefix(PREFIX).lower(): value for name, value in environment(overlay).items()}
     assert set(values) <= set(Settings.model_fields)
-    assert Settings(**values)  # type: ignore[arg-type]  # texts, as the environment has them
+    assert Settings(**values)  # type: ignore[arg-type]  # texts, as in the environment
     found = pod(overlay)
     assert found["enableServiceLinks"] is False, "Kubernetes would set CAZSL_PORT to something else"
     readiness = found["containers"][0]["readinessProbe"]
@@ -137,8 +137,8 @@ def test_what_is_set_are_settings_and_time_enough_to_end_well(overlay: str) -> N
 
 
 @each_overlay
-def test_everything_selects_the_pods_that_there_are(overlay: str) -> None:
-    """A selector that fits nothing is taken without a word."""
+def test_every_selector_matches_the_pods(overlay: str) -> None:
+    """Every selector matches the pods of its overlay. Kubernetes accepts a selector without a match silently."""
     found = manifests(overlay)
     labels = found["Deployment"]["spec"]["template"]["metadata"]["labels"].items()
     assert found["Deployment"]["spec"]["selector"]["matchLabels"].items() <= labels
@@ -149,14 +149,14 @@ def test_everything_selects_the_pods_that_there_are(overlay: str) -> None:
     assert (target["kind"], target["name"]) == ("Deployment", found["Deployment"]["metadata"]["name"])
     monitor = found["ServiceMonitor"]["spec"]
     assert monitor["selector"]["matchLabels"].items() <= found["Service"]["metadata"]["labels"].items()
-    assert found["Service"]["metadata"]["labels"][monitor["jobLabel"]] == "cazsl"  # what the alerts look for
+    assert found["Service"]["metadata"]["labels"][monitor["jobLabel"]] == "cazsl"  # the job label of the alerts
     ports = {port["name"]: port["targetPort"] for port in found["Service"]["spec"]["ports"]}
     assert {endpoint["port"] for endpoint in monitor["endpoints"]} <= set(ports)
     assert set(ports.values()) == {port["name"] for port in pod(overlay)["containers"][0]["ports"]}
 
 
 def test_each_overlay_has_its_registry() -> None:
-    """Baked in, mounted where the image looks and read-only, or in a bucket that may be asked."""
+    """The registry is in the image, or mounted read-only where the image expects it, or in a bucket within reach."""
     assert "CAZSL_REGISTRY" not in environment("baked")
     assert "volumes" not in pod("baked")
     assert manifests("baked")["NetworkPolicy"]["spec"]["egress"] == []
@@ -171,22 +171,22 @@ def test_each_overlay_has_its_registry() -> None:
 
 
 def test_images_are_of_this_version() -> None:
-    """Of no other, and never of whatever is newest."""
+    """Images carry the version of this code, never a tag such as latest."""
     images = {overlay: pod(overlay)["containers"][0]["image"] for overlay in OVERLAYS}
     version = f"cazsl:{service.__version__}"
     assert images == {"baked": version, "volume": version, "s3": f"{version}-s3"}
     assert COMPOSE["services"]["cazsl"]["image"] == version
 
 
-def test_compose_takes_its_file() -> None:
-    """Against the schema of the Compose specification."""
+def test_the_compose_file_is_valid() -> None:
+    """The Compose file is valid under the schema of the Compose specification."""
     command = [str(BIN / "check-jsonschema"), "--builtin-schema", "vendor.compose-spec", str(DEPLOY / "compose.yaml")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout
 
 
-def test_compose_is_as_careful_as_kubernetes() -> None:
-    """The same limits on what the container may do, and time enough to end well."""
+def test_compose_restricts_the_container_as_kubernetes_does() -> None:
+    """Under Compose the container has the same restrictions as under Kubernetes, and time to drain."""
     found = COMPOSE["services"]["cazsl"]
     assert found["read_only"] is True
     assert found["cap_drop"] == ["ALL"]
@@ -200,7 +200,7 @@ def test_compose_is_as_careful_as_kubernetes() -> None:
 
 
 def expressions() -> Iterator[tuple[str, str]]:
-    """Every expression of the alerts and the dashboard, Grafana's variables filled in."""
+    """Yield every expression of the alerts and the dashboard with its title. Grafana's variables are filled in."""
     for rule in ALERTS["groups"][0]["rules"]:
         yield rule["alert"], rule["expr"]
     for panel in DASHBOARD["panels"]:
@@ -209,7 +209,7 @@ def expressions() -> Iterator[tuple[str, str]]:
 
 
 def used(text: str) -> Iterator[tuple[str, set[str]]]:
-    """Every metric of an expression, with the labels that are matched."""
+    """Yield every metric of an expression, with the labels of its matchers."""
     waiting: list[Any] = [promql_parser.parse(text)]
     while waiting:
         node = waiting.pop()
@@ -221,7 +221,7 @@ def used(text: str) -> Iterator[tuple[str, set[str]]]:
 
 @pytest.fixture(scope="module")
 def exposed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
-    """Every series that the service exposes once everything happened to it, and the labels that it has."""
+    """Return every series of a service with a prediction, a refusal and a broken version, and the labels of each."""
     registry, models = fake_models(tmp_path_factory.mktemp("metrics") / "models")
     publish_fake(registry)
     publish_fake(registry, "push-visual", model=BROKEN)
@@ -244,7 +244,7 @@ def exposed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, set[str]]:
 def test_every_expression_reads_metrics_and_labels_that_exist(
     exposed: dict[str, set[str]], place: str, expression: str
 ) -> None:
-    """A misspelt name is not an error in Prometheus: it is an alert that never comes."""
+    """Every expression reads existing metrics and labels. In Prometheus a misspelt name is no error, but no alert."""
     metrics = list(used(expression))
     assert metrics, place
     names = {name for name, _ in metrics}
@@ -253,20 +253,20 @@ def test_every_expression_reads_metrics_and_labels_that_exist(
     for name, labels in metrics:
         assert labels <= known[name], (place, name)
     grouped = {label.strip() for group in re.findall(r"\bby \(([^)]*)\)", expression) for label in group.split(",")}
-    counted_nothing_yet = {name for name in names - {"up"} if not exposed[name]}
-    assert counted_nothing_yet or grouped <= set().union(*known.values()), place
+    without_samples = {name for name in names - {"up"} if not exposed[name]}
+    assert without_samples or grouped <= set().union(*known.values()), place
 
 
-def test_every_metric_of_ours_is_looked_at_somewhere(exposed: dict[str, set[str]]) -> None:
-    """What nobody looks at need not be counted."""
-    looked_at = {name for _, expression in expressions() for name, _ in used(expression)}
+def test_every_metric_of_the_service_is_in_an_expression(exposed: dict[str, set[str]]) -> None:
+    """Every metric of the service is used by an alert or the dashboard. An unused metric should not be counted."""
+    read = {name for _, expression in expressions() for name, _ in used(expression)}
     families = {re.sub(r"_(bucket|count|sum|total|created)$", "", name) for name in exposed}
     ours = {name for name in families if name.startswith("cazsl_")}
-    assert ours <= {re.sub(r"_(bucket|count|sum|total)$", "", name) for name in looked_at}
+    assert ours <= {re.sub(r"_(bucket|count|sum|total)$", "", name) for name in read}
 
 
-def test_every_alert_says_what_is_wrong_and_what_to_do() -> None:
-    """And whom it may wake."""
+def test_every_alert_has_a_summary_an_action_and_a_severity() -> None:
+    """Every alert has a summary, an action, and a severity: page or ticket."""
     for rule in ALERTS["groups"][0]["rules"]:
         assert set(rule) == {"alert", "expr", "for", "labels", "annotations"}
         assert rule["labels"]["severity"] in ("page", "ticket")
@@ -274,12 +274,12 @@ def test_every_alert_says_what_is_wrong_and_what_to_do() -> None:
 
 
 def test_the_operator_has_the_same_alerts() -> None:
-    """One set of rules, in two wrappings."""
+    """The PrometheusRule of the operator has the alerts of prometheus/alerts.yaml."""
     assert manifests("baked")["PrometheusRule"]["spec"]["groups"] == ALERTS["groups"]
 
 
-def test_the_dashboards_panels_stand_beside_each_other() -> None:
-    """Each with a number of its own; none upon another."""
+def test_the_panels_of_the_dashboard_do_not_overlap() -> None:
+    """The panels of the dashboard do not overlap, fit the width of the grid, and have ids of their own."""
     taken: set[tuple[int, int]] = set()
     for panel in DASHBOARD["panels"]:
         place = panel["gridPos"]
@@ -291,8 +291,8 @@ def test_the_dashboards_panels_stand_beside_each_other() -> None:
 
 
 @pytest.mark.parametrize(("lock", "extras"), [("serving", ()), ("s3", ("s3",)), ("all", ("s3", "signing", "otel"))])
-def test_the_image_holds_versions_that_fit_what_is_declared(lock: str, extras: tuple[str, ...]) -> None:
-    """``make lock`` was run after the last change of dependencies; each version has its digests."""
+def test_the_locks_agree_with_the_declared_dependencies(lock: str, extras: tuple[str, ...]) -> None:
+    """Each locked version has its digests and satisfies the declared dependency. ``make lock`` renews the locks."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     text = (DEPLOY / "locks" / f"{lock}.txt").read_text(encoding="utf-8")
     lines = re.findall(r"^([a-z0-9-]+)==([^ ;\\]+).*?(\\\n +--hash=sha256:|$)", text, re.MULTILINE)
