@@ -25,11 +25,8 @@ class EndpointRoute(APIRoute):
         async def answer(request: Request) -> Response:
             """Answer one request."""
             endpoints, scope = parts_of(request).endpoints, request.scope
-            found = endpoints.find(scope["path"])
-            if found is None:
-                raise LookupError(f"{self.path} has no endpoint")
-            endpoint, parameters = found
-            answer = await endpoints.answer(endpoint, HttpRequest(scope["headers"], await request.body(), parameters))
+            asked = HttpRequest(scope["headers"], await request.body(), request.path_params)
+            answer = await endpoints.answer(endpoints.at(self.path), asked)
             note_answer(record_of(scope), answer)
             headers = {name.decode(): value.decode() for name, value in answer.headers}
             return Response(answer.content, headers=headers)

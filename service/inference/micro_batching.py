@@ -33,12 +33,17 @@ class MicroBatcher:
 
     def __init__(self) -> None:
         self._waiting: list[_Waiting] = []
+        self._failed: list[tuple[Exception, Callback]] = []
 
     def submit(self, query: Query, callback: Callback) -> None:
         """Predict one push at the end of this iteration. The callback gets the outcome, an error as it was raised."""
-        if not self._waiting:  # in a context of its own: each request records its own timing
-            asyncio.get_running_loop().call_soon(self.flush, context=Context())
+        self._schedule()
         self._waiting.append((query, callback))
+
+    def fail(self, error: Exception, callback: Callback) -> None:
+        """Give the callback an error at the end of this iteration, for a push that cannot be submitted."""
+        self._schedule()
+        self._failed.append((error, callback))
 
     async def answer(self, query: Query) -> Answer:
         """Answer a query of one push.
@@ -64,8 +69,15 @@ class MicroBatcher:
     def flush(self) -> None:
         """Predict the pushes that wait, now."""
         waiting, self._waiting = self._waiting, []
+        failed, self._failed = self._failed, []
         for group in _groups(waiting):
             _settle(group)
+        for error, callback in failed:
+            _call(callback, error)
+
+    def _schedule(self) -> None:
+        if not self._waiting and not self._failed:  # in a context of its own: each request records its own timing
+            asyncio.get_running_loop().call_soon(self.flush, context=Context())
 
 
 def _groups(waiting: Iterable[_Waiting]) -> list[list[_Waiting]]:

@@ -95,6 +95,7 @@ class RequestTelemetry:
     def end(self, record: RequestRecord, duration_s: float) -> None:
         """Count and log a request that was answered, or whose client left."""
         record.duration_s = duration_s
+        record.timings = record.timings[:]  # a thread that missed the deadline goes on appending to the other list
         record.time = datetime.now(UTC)
         self._observer.note(record)
         if _requests.isEnabledFor(logging.DEBUG if record.route in _QUIET_ROUTES else logging.INFO):

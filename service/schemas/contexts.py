@@ -159,13 +159,8 @@ class ContextBody(Body):
 _FORMS: Final = tuple(ContextBody.model_fields)
 
 
-def describe_image(content: bytes) -> VisualContextBody:
-    """What a model sees of an image file, and what looks wrong in it; blocking: it decodes.
-
-    Raises:
-        ImageTooLargeError, UnsupportedImageError, InvalidImageError: as ``images.decode``.
-    """
-    context = visual_context(decode(content))
+def describe_context(context: VisualContext) -> VisualContextBody:
+    """Return a visual context with its thumbnail and its quality flags."""
     return VisualContextBody(
         visual=base64.b64encode(context.levels).decode(),
         thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),

@@ -171,6 +171,7 @@ class ShortcutConnection(BoundedConnection):
         if self._submitted:
             self._in_turn = False
             self.shortcut.flush()
+            self._unset_keepalive_if_required()  # set by that answer, though the connection is not idle
         super().on_message_begin()
 
     def on_headers_complete(self) -> None:
@@ -248,8 +249,6 @@ class ShortcutConnection(BoundedConnection):
     def _leave(self, body: bytes) -> None:
         """Pass a whole request to uvicorn."""
         self._submitted = False
-        if self not in self.connections:  # the client has left
-            return
         super().on_headers_complete()
         super().on_body(body)
         super().on_message_complete()

@@ -86,18 +86,30 @@ class Endpoint(Generic[R]):
 
 
 class Endpoints:
-    """The table of endpoints, and the means to answer."""
+    """The table of endpoints, and the means to answer.
+
+    Attributes:
+        micro_batcher: predicts single pushes.
+    """
 
     def __init__(
         self, endpoints: Iterable[Endpoint[Any]], models: LoadedModels, threads: ThreadPool, keys: Keys
     ) -> None:
-        table = tuple(endpoints)
-        self._exact = {endpoint.path: endpoint for endpoint in table if "{" not in endpoint.path}
-        self._patterns = [(_pattern(endpoint.path), endpoint) for endpoint in table if "{" in endpoint.path]
+        self._table = {endpoint.path: endpoint for endpoint in endpoints}
+        self._exact = {path: endpoint for path, endpoint in self._table.items() if "{" not in path}
+        self._patterns = [(_pattern(path), endpoint) for path, endpoint in self._table.items() if "{" in path]
         self._models = models
         self._threads = threads
         self._keys = keys
         self.micro_batcher = MicroBatcher()
+
+    def at(self, template: str) -> Endpoint[Any]:
+        """Return the endpoint with this path template.
+
+        Raises:
+            KeyError: there is none.
+        """
+        return self._table[template]
 
     def find(self, path: str) -> tuple[Endpoint[Any], Mapping[str, str]] | None:
         """Return the endpoint of a path, and the parameters of the path."""

@@ -1,6 +1,6 @@
 """The fast path: requests to endpoints are answered here, without the web framework, and single pushes without ASGI.
 
-``FastPath`` is the ring in front of the framework. It answers every request to an endpoint, and passes everything else
+``FastPath`` is the ring in front of the framework. It answers every request to an endpoint, and passes other requests
 on. ``Shortcut`` answers plain single pushes for connections, without the task and the messages that ASGI needs. Both use
 the same ``Endpoints``, so their answers are the same to the byte.
 """
@@ -9,6 +9,7 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -27,12 +28,13 @@ Leave = Callable[[], None]
 _OK: Final = 200
 _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 _IMAGE: Final = b'"image"'
+_ESCAPE: Final = b"\\"  # may spell the name of a field
 
 logger = logging.getLogger(__name__)
 
 
 class FastPath:
-    """The ring that answers requests to endpoints and passes everything else on to the framework."""
+    """The ring that answers requests to endpoints and passes other requests on to the framework."""
 
     def __init__(self, app: ASGIApp, endpoints: Endpoints) -> None:
         self._app = app
@@ -98,60 +100,68 @@ class Shortcut:
         return ShortcutRequest(scope, time.perf_counter()) if 0 < declared_length(scope) <= LIGHT_BYTES else None
 
     def answer(self, request: ShortcutRequest, reply: Reply, leave: Leave) -> None:
-        """Answer a whole request now or at the end of this iteration, or have it leave for the framework now."""
-        scope, content = request.scope, bytes(request.body)
-        if _IMAGE in content:  # decoded in a thread, so it is not even read here
+        """Answer a whole request at the end of this iteration, or have it leave for the framework now.
+
+        Refusals too wait for the end of the iteration: a client that sends requests without awaiting answers must not
+        hold the event loop with refusals.
+        """
+        content = bytes(request.body)
+        if _IMAGE in content or _ESCAPE in content:  # an image is decoded in a thread, so it is not even read here
             leave()
             return
-        record = self._telemetry.begin(scope)
+        record = self._telemetry.begin(request.scope)
         try:
-            self._admission.check(scope)
-            record.route = self._endpoint.path
-            query = self._endpoints.query_single(self._endpoint, HttpRequest(scope["headers"], content, NO_PARAMETERS))
+            query = self._query(request.scope, record, content)
         except Exception as error:
-            self._refuse(request, record, error, reply)
+            self._endpoints.micro_batcher.fail(error, partial(self._refuse, request, record, reply))
             return
         if query is None:
             leave()
-            return
-
-        def callback(outcome: Gaussian | Exception) -> None:
-            if isinstance(outcome, Exception):
-                self._refuse(request, record, outcome, reply)
-            else:
-                self._reply(request, record, query, outcome, reply)
-
-        self._endpoints.micro_batcher.submit(query, callback)
+        else:
+            self._endpoints.micro_batcher.submit(query, partial(self._settle, request, record, reply, query))
 
     def flush(self) -> None:
         """Answer the requests that wait for the end of the iteration, now."""
         self._endpoints.micro_batcher.flush()
 
-    def _reply(
-        self, request: ShortcutRequest, record: RequestRecord, query: Query, gaussian: Gaussian, reply: Reply
-    ) -> None:
-        mean, std, seconds = gaussian
-        answer = query.encode(mean, std)
-        note_answer(record, answer)
-        record.timings.append(("inference", seconds))
-        self._end(request, record, _OK, answer.head(), answer.content, reply)
+    def _query(self, scope: Scope, record: RequestRecord, content: bytes) -> Query | None:
+        self._admission.check(scope)
+        record.route = self._endpoint.path
+        return self._endpoints.query_single(self._endpoint, HttpRequest(scope["headers"], content, NO_PARAMETERS))
 
-    def _refuse(self, request: ShortcutRequest, record: RequestRecord, error: Exception, reply: Reply) -> None:
-        """Answer with a problem. An exception that is not of our tree is logged, and costs the client a 500."""
+    def _settle(
+        self, request: ShortcutRequest, record: RequestRecord, reply: Reply, query: Query, outcome: Gaussian | Exception
+    ) -> None:
+        """Answer with the outcome of a query."""
+        if isinstance(outcome, Exception):
+            self._refuse(request, record, reply, outcome)
+            return
+        mean, std, seconds = outcome
+        record.timings.append(("inference", seconds))
+        try:
+            answer = query.encode(mean, std)
+        except Exception as error:  # a bug here must not leave the client without an answer
+            self._refuse(request, record, reply, error)
+            return
+        note_answer(record, answer)
+        self._end(request, record, reply, _OK, answer.head(), answer.content)
+
+    def _refuse(self, request: ShortcutRequest, record: RequestRecord, reply: Reply, error: Exception) -> None:
+        """Answer with a problem. An exception that is not of our tree is logged, and the client gets a 500."""
         if not isinstance(error, CazslError):
             logger.error("request failed", extra={"request_id": record.request_id}, exc_info=error)
             error = internal_error()
         response = problem_response(request.scope, error)
-        self._end(request, record, response.status_code, response.raw_headers, bytes(response.body), reply)
+        self._end(request, record, reply, response.status_code, response.raw_headers, bytes(response.body))
 
     def _end(
         self,
         request: ShortcutRequest,
         record: RequestRecord,
+        reply: Reply,
         status: int,
         headers: Headers,
         content: bytes,
-        reply: Reply,
     ) -> None:
         reply(status, (*headers, id_header(record)), content)
         record.status = status

@@ -10,7 +10,7 @@ from service.errors import InvalidRequestError
 from service.inference.query import FIRST_CONTEXT, ContextBatch
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import timed
-from service.pushing.contexts import ObjectContext
+from service.pushing.contexts import ObjectContext, VisualContext
 from service.pushing.images import decode, visual_context
 from service.schemas.contexts import ContextBody
 
@@ -68,9 +68,17 @@ def encode_image(image: bytes, index: IndexArray) -> ContextBatch:
     Raises:
         ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
     """
+    return ContextBatch(ContextKind.VISUAL, read_view(image).tensor()[None], index, "body.image")
+
+
+def read_view(image: bytes) -> VisualContext:
+    """Return the visual context of an image file. Blocking: it decodes.
+
+    Raises:
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
+    """
     with timed("decode"):
-        tensor = visual_context(decode(image)).tensor()[None]
-    return ContextBatch(ContextKind.VISUAL, tensor, index, "body.image")
+        return visual_context(decode(image))
 
 
 def _encode(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:

@@ -10,14 +10,13 @@ from typing import Final
 import numpy as np
 import orjson
 
-from service.api.v1.object_contexts import encode_context, encode_contexts, encode_image
+from service.api.v1.object_contexts import encode_context, encode_contexts, encode_image, read_view
 from service.inference.query import FIRST_CONTEXT, Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import FloatArray
-from service.observability.timings import timed
 from service.pushing.poses import DoubleArray, into_world_frame
-from service.schemas.contexts import describe_image
+from service.schemas.contexts import describe_context
 from service.schemas.pushes import BatchRequest, Prediction, PredictRequest
 
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
@@ -106,8 +105,7 @@ def describe_view(_models: Snapshot, image: bytes) -> Answer:
     Raises:
         ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
     """
-    with timed("decode"):
-        return Answer(describe_image(image).model_dump_json().encode())
+    return Answer(describe_context(read_view(image)).model_dump_json().encode())
 
 
 def _find(models: Snapshot, request: Prediction, contexts: ContextBatch) -> LoadedModel:
