@@ -1,4 +1,4 @@
-"""Every line of code in docs/api.md and docs/client.md is run, in the order of the page, against a real service."""
+"""Code blocks of docs/api.md and docs/client.md, run in the order of the page against a service process."""
 
 import re
 import subprocess
@@ -24,14 +24,14 @@ CLIENT_BLOCKS = re.findall(
 
 @pytest.fixture(scope="module")
 def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
-    """A service."""
+    """Run a service. Return its port."""
     with serve(tmp_path_factory.mktemp("docs")) as (found, _):
         yield found
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Where the examples are run: there is a picture."""
+    """Return a working folder with the image of the examples."""
     grey = np.zeros((64, 64), dtype=np.uint8)
     grey[20:44, 20:44] = 128
     Image.fromarray(grey).save(tmp_path / "view.png")
@@ -39,14 +39,14 @@ def folder(tmp_path: Path) -> Path:
 
 
 def run(command: list[str], code: str, folder: Path) -> str:
-    """What a program prints that is given on standard input, and succeeds."""
+    """Run a command with code on standard input. Check that it succeeds, and return its output."""
     done = subprocess.run(command, input=code, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr + done.stdout
     return done.stdout
 
 
-def test_every_line_for_the_shell_gets_an_answer(port: int, folder: Path) -> None:
-    """Curl fails on every status that is not a success, and each line prints JSON."""
+def test_every_shell_block_prints_json(port: int, folder: Path) -> None:
+    """Every shell block of docs/api.md succeeds and prints JSON. Its curl fails on a status that is not a success."""
     blocks = [code for language, code in BLOCKS if language == "sh"]
     assert len(blocks) == 5
     for code in blocks:
@@ -54,8 +54,8 @@ def test_every_line_for_the_shell_gets_an_answer(port: int, folder: Path) -> Non
         assert printed.startswith("{"), code
 
 
-def test_every_line_of_python_runs(port: int, folder: Path) -> None:
-    """As one program: later blocks use what earlier ones made."""
+def test_every_python_block_runs(port: int, folder: Path) -> None:
+    """The Python blocks of docs/api.md run as one program, because later blocks use the variables of earlier ones."""
     blocks = [code for language, code in BLOCKS if language == "python"]
     assert len(blocks) == 5
     printed = run([sys.executable, "-"], "\n".join(blocks).replace("localhost:8000", f"127.0.0.1:{port}"), folder)
@@ -64,7 +64,7 @@ def test_every_line_of_python_runs(port: int, folder: Path) -> None:
 
 
 def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
-    """As one program, in a folder that holds the models that ship."""
+    """The code blocks of docs/client.md run as one program, in a folder with the shipped models."""
     assert len(CLIENT_BLOCKS) == 10
     (folder / "models").symlink_to(ROOT / "models")
     code = "\n".join(CLIENT_BLOCKS).replace("localhost:8000", f"127.0.0.1:{port}")
@@ -74,10 +74,10 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
     assert "world" in printed
 
 
-def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
-    """With its status; errors of the registry, of data and of settings never leave as such."""
+def test_every_error_that_a_client_can_get_is_in_the_table() -> None:
+    """The table of errors has the status and code of every error, but those that are never sent to clients."""
     known = [kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, errors.CazslError)]
-    inner = {
+    never_sent = {
         errors.RequestError,
         errors.UnavailableError,
         errors.DataError,
@@ -85,5 +85,5 @@ def test_every_error_that_a_client_can_meet_is_on_the_page() -> None:
         errors.WorkforceError,
     }
     for kind in known:
-        if kind not in inner and not issubclass(kind, errors.RegistryError):
+        if kind not in never_sent and not issubclass(kind, errors.RegistryError):
             assert (int(kind.status), kind.code) in listed_errors(), kind

@@ -1,6 +1,6 @@
-"""The examples of the OpenAPI document: each operation and answer has one, each is right, and each is what happens.
+"""Examples of the OpenAPI document: each operation and answer has valid ones, and the service answers as they show.
 
-Those of errors are provoked in tests/test_refusals.py.
+Examples of errors are provoked in tests/test_refusals.py.
 """
 
 import base64
@@ -33,7 +33,7 @@ IDS = [f"{method} {path}" for method, path, _ in OPERATIONS]
 
 
 def media_of(operation: Json) -> Iterator[tuple[str, str, Json]]:
-    """Everything that is sent or answered: where, as which media type, with which examples."""
+    """Yield every content of an operation: "request" or the status, the media type, and its schema with examples."""
     for kind, media in operation.get("requestBody", {}).get("content", {}).items():
         yield "request", kind, media
     for status, response in operation["responses"].items():
@@ -42,13 +42,13 @@ def media_of(operation: Json) -> Iterator[tuple[str, str, Json]]:
 
 
 def validator(schema: Json) -> jsonschema_rs.Draft202012Validator:
-    """A validator of a schema that refers to those of the document."""
+    """Create a validator of a schema that may refer to schemas of the document."""
     return jsonschema_rs.Draft202012Validator({**schema, "components": document()["components"]})
 
 
 @pytest.mark.parametrize(("method", "path", "operation"), OPERATIONS, ids=IDS)
-def test_every_request_and_every_answer_has_an_example_that_is_right(method: str, path: str, operation: Json) -> None:
-    """Parameters and bodies, successes and failures; each is what its own schema says."""
+def test_every_request_and_every_answer_has_valid_examples(method: str, path: str, operation: Json) -> None:
+    """Every parameter, request body, success and failure has examples, which are valid under its schema."""
     for parameter in operation.get("parameters", []):
         assert validator(parameter["schema"]).is_valid(parameter["example"]), parameter["name"]
     for where, kind, media in media_of(operation):
@@ -59,7 +59,7 @@ def test_every_request_and_every_answer_has_an_example_that_is_right(method: str
 
 @pytest.fixture(scope="module")
 def shipped() -> Iterator[TestClient]:
-    """The app over the models that ship."""
+    """Return a client of the app over the shipped models."""
     models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
     models.refresh()
     with TestClient(create_app(Settings(poll_interval_s=3600), models)) as client:
@@ -67,7 +67,7 @@ def shipped() -> Iterator[TestClient]:
 
 
 def send(client: TestClient, method: str, path: str, kind: str, example: Json) -> Response:
-    """A request example as its media type has it; the name of a file stands for the file."""
+    """Send the example of a request in its media type. In a form the name of a file stands for the file."""
     if "externalValue" in example:
         content = base64.b64decode(example["externalValue"].partition(",")[2])
         return client.request(method, path, content=content, headers={"Content-Type": kind})
@@ -80,10 +80,10 @@ def send(client: TestClient, method: str, path: str, kind: str, example: Json) -
 
 
 @pytest.mark.parametrize(("method", "path", "operation"), OPERATIONS, ids=IDS)
-def test_every_request_example_is_answered_as_its_answer_shows(
+def test_every_request_example_is_answered_as_the_example_of_its_answer(
     shipped: TestClient, method: str, path: str, operation: Json
 ) -> None:
-    """With 200 and, field by field, what the example of the answer has."""
+    """The answer to every request example has status 200 and the fields and types of an example of the answer."""
     for parameter in operation.get("parameters", []):
         path = path.replace(f"{{{parameter['name']}}}", str(parameter["example"]))
     content = operation.get("requestBody", {}).get("content", {})
@@ -99,7 +99,7 @@ def test_every_request_example_is_answered_as_its_answer_shows(
 
 
 def shape(value: Json) -> dict[str, str]:
-    """The fields of an answer, and of the objects in it, with what kind of thing they hold."""
+    """Return the type of each field of an answer, and of each field of its model, mean and std."""
     found: dict[str, str] = {}
     for name, part in value.items():
         found[name] = type(part).__name__
@@ -108,8 +108,8 @@ def shape(value: Json) -> dict[str, str]:
     return found
 
 
-def test_the_example_of_what_a_model_sees_is_what_it_sees(shipped: TestClient) -> None:
-    """To the bit, and the thumbnail to the pixel, of the picture that is the example of an image."""
+def test_the_example_of_a_context_from_an_image_is_exact(shipped: TestClient) -> None:
+    """The example of a context from an image equals the answer to the example image, its thumbnail pixel by pixel."""
     answered = document()["paths"]["/v1/contexts"]["post"]["responses"]["200"]["content"]["application/json"]
     (example,) = (one["value"] for one in examples_of(answered).values())
     image = base64.b64decode(IMAGE_EXAMPLE)
@@ -119,8 +119,8 @@ def test_the_example_of_what_a_model_sees_is_what_it_sees(shipped: TestClient) -
     assert example == answer
 
 
-def test_raw_answers_are_what_their_example_shows(shipped: TestClient) -> None:
-    """JSON of so many bytes as the header says, and the tensor behind it."""
+def test_a_binary_answer_is_like_its_example(shipped: TestClient) -> None:
+    """A binary answer has the outputs of its example in the JSON part in front of the tensors."""
     path = "/v2/models/push-indicator/infer"
     operation = document()["paths"]["/v2/models/{name}/infer"]["post"]
     (raw,) = examples_of(operation["responses"]["200"]["content"]["application/octet-stream"]).values()

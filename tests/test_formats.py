@@ -1,6 +1,6 @@
-"""A version of each format that was ever released, made by the code that released it, is served for ever.
+"""Manifest formats: a version of each released format, written by the code of its release, is served for ever.
 
-``tests/data/registries/format-N`` is a whole registry. It is never regenerated; a new format adds a folder.
+``tests/data/registries/format-N`` is a whole registry. It is never generated again. A new format adds a folder.
 """
 
 import shutil
@@ -22,19 +22,19 @@ NAME = "push-none"
 
 @pytest.fixture
 def registries(project_root: Path) -> Path:
-    """A registry per format."""
+    """Return the folder with one registry per format."""
     return project_root / "tests" / "data" / "registries"
 
 
-def test_every_format_that_is_read_has_its_sample(registries: Path) -> None:
-    """And what is written now is one of them."""
+def test_every_readable_format_has_a_sample(registries: Path) -> None:
+    """Every readable format has a sample registry, and the format that is written is among them."""
     assert {path.name for path in registries.iterdir()} == {f"format-{number}" for number in FORMATS}
     assert FORMAT in FORMATS
 
 
 @pytest.mark.parametrize("number", FORMATS)
 def test_a_version_of_every_format_is_served(registries: Path, number: int) -> None:
-    """Digests, graph, tensors, self-check, alias and history; and its bytes are what they were."""
+    """A version of every format passes all verification, has its alias and history, and renders to the same bytes."""
     registry = Registry(registries / f"format-{number}")
     models = LoadedModels(registry, OnnxPredictor)
     models.refresh()
@@ -46,8 +46,8 @@ def test_a_version_of_every_format_is_served(registries: Path, number: int) -> N
 
 
 @pytest.mark.parametrize("number", FORMATS)
-def test_a_registry_of_every_format_goes_on(registries: Path, number: int, tmp_path: Path) -> None:
-    """The next version is of today's format, and the history becomes or stays a chain."""
+def test_a_registry_of_every_format_takes_new_versions(registries: Path, number: int, tmp_path: Path) -> None:
+    """The next version in a registry of any format has the current format, and the history is a chain."""
     shutil.copytree(registries / f"format-{number}", tmp_path / "models")
     registry = Registry(tmp_path / "models")
     first = registry.read(NAME, 1)
@@ -60,8 +60,8 @@ def test_a_registry_of_every_format_goes_on(registries: Path, number: int, tmp_p
     )
 
 
-def test_a_format_of_the_future_is_refused_by_name() -> None:
-    """The error says which formats are read."""
+def test_an_unknown_format_is_refused() -> None:
+    """A manifest of an unknown format is refused with the list of readable formats."""
     text = draft_manifest(NAME).render().replace(f'"format": {FORMAT}'.encode(), b'"format": 99')
     with pytest.raises(BrokenModelError, match="format: this version reads formats 1 and 2 only"):
         Manifest.parse(text)

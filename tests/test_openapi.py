@@ -1,4 +1,4 @@
-"""The OpenAPI document in the repository is the app's own, and says of contexts what the service does."""
+"""OpenAPI document: the file in the repository is the app's own, and its schema accepts the contexts of the service."""
 
 import base64
 import itertools
@@ -22,7 +22,7 @@ from service.settings import Settings
 
 @pytest.fixture
 def document() -> dict[str, Any]:
-    """What the app says of itself; no model is needed for it."""
+    """Return the OpenAPI document of the app, which needs no model."""
     app = create_app(Settings(), LoadedModels(Registry(Path("nowhere")), OnnxPredictor))
     return app.openapi()
 
@@ -30,7 +30,7 @@ def document() -> dict[str, Any]:
 def test_openapi_document_is_the_apps_own(
     document: dict[str, Any], project_root: Path, request: pytest.FixtureRequest
 ) -> None:
-    """openapi/openapi.json is what the app produces; 'make openapi' renews it."""
+    """The file openapi/openapi.json is the document of the app. ``make openapi`` renews it."""
     path = project_root / "openapi" / "openapi.json"
     rendered = json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False) + "\n"
     if request.config.getoption("--renew-openapi"):
@@ -39,7 +39,7 @@ def test_openapi_document_is_the_apps_own(
 
 
 def test_every_field_of_our_bodies_has_a_description_and_an_example(document: dict[str, Any]) -> None:
-    """A client reads in the document what each field means, units included, and sees one."""
+    """Every field of our bodies has a description, with its unit, and an example."""
     fields = {
         f"{name}.{field}": definition
         for name, schema in document["components"]["schemas"].items()
@@ -51,14 +51,14 @@ def test_every_field_of_our_bodies_has_a_description_and_an_example(document: di
 
 
 def test_every_number_of_a_pose_has_its_unit(document: dict[str, Any]) -> None:
-    """Metres or radians, in the words of the field."""
+    """Every number of a pose has its unit, m or rad, in its description."""
     for body in ("PusherBody", "MeanBody", "StdBody"):
         for name, field in document["components"]["schemas"][body]["properties"].items():
             assert re.search(r"\bin rad\b" if name == "angle" else r"\bin m\b", field["description"]), (body, name)
 
 
 def test_every_operation_is_described(document: dict[str, Any]) -> None:
-    """Every route has a summary and a description."""
+    """Every operation has a summary and a description."""
     for path, operations in document["paths"].items():
         for method, operation in operations.items():
             assert operation.get("summary"), (method, path)
@@ -66,7 +66,7 @@ def test_every_operation_is_described(document: dict[str, Any]) -> None:
 
 
 def test_failures_are_described_as_problems(document: dict[str, Any]) -> None:
-    """The document promises problem+json, not the framework's own form of an error."""
+    """The document describes failures as problem+json, not in the framework's own form of an error."""
     assert "HTTPValidationError" not in document["components"]["schemas"]
     responses = document["paths"]["/v1/predict"]["post"]["responses"]
     for status in ("400", "404", "413", "415", "422", "503"):
@@ -94,8 +94,8 @@ CONTEXTS: list[dict[str, Any]] = [
 
 
 @pytest.mark.parametrize("context", CONTEXTS, ids=lambda context: str(context)[:40])
-def test_the_document_takes_a_context_that_the_service_takes(document: dict[str, Any], context: dict[str, Any]) -> None:
-    """No more and no fewer: the schema is written beside the checks, and must say the same."""
+def test_the_schema_accepts_the_contexts_of_the_service(document: dict[str, Any], context: dict[str, Any]) -> None:
+    """The schema of a context is valid for the contexts that the service accepts, and for no others."""
     schema = {"$ref": "#/components/schemas/ContextBody", "components": document["components"]}
     try:
         ContextBody.model_validate(context).to_domain()
