@@ -1,6 +1,6 @@
-"""Every error that docs/api.md lists is provoked over a real connection, and is what its example shows.
+"""Refusals: every error of docs/api.md is provoked over a network connection, and compared with its example.
 
-Where an error comes of too much at once, a fake holds what is being answered for as long as that is needed.
+For errors of overload, a fake predictor blocks the requests that are being answered for as long as a test needs.
 """
 
 import base64
@@ -51,29 +51,29 @@ LARGE_TENSORS = {
 
 
 class Situation(Protocol):
-    """A service in which the next request meets its error; it may keep files in a folder."""
+    """A service in which the next request gets an error. It may keep files in a folder."""
 
     __name__: str
 
     def __call__(self, folder: Path, /) -> AbstractContextManager[Client]:
-        """A client of it."""
+        """Run the service. Return a client."""
         ...
 
 
 def encoded(content: bytes) -> Json:
-    """A push of the object in an image."""
+    """Return the body of a push with the object in an image."""
     return {**PUSH, "context": {"image": base64.b64encode(content).decode()}}
 
 
 def wide_picture() -> bytes:
-    """More pixels on a side than are taken."""
+    """Create an image with more pixels on a side than the limit."""
     buffer = io.BytesIO()
     Image.new("L", (9000, 1)).save(buffer, "PNG")
     return buffer.getvalue()
 
 
 def fake(folder: Path, load: PredictorFactory = load_fake, model: bytes = b"fine") -> LoadedModels:
-    """One indicator model."""
+    """Load a registry with one fake indicator model."""
     publish_fake(Registry(folder / "models"), model=model)
     models = LoadedModels(Registry(folder / "models"), load)
     models.refresh()
@@ -81,45 +81,45 @@ def fake(folder: Path, load: PredictorFactory = load_fake, model: bytes = b"fine
 
 
 def shipped() -> LoadedModels:
-    """The models that ship."""
+    """Load the shipped models."""
     models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
     models.refresh()
     return models
 
 
 def small_bodies(_: Path) -> AbstractContextManager[Client]:
-    """The models that ship, and room for small bodies only."""
+    """Serve the shipped models, with a limit of 4 KiB for bodies."""
     return serve_in_thread(shipped(), max_body_bytes=4096)
 
 
 def no_model(folder: Path) -> AbstractContextManager[Client]:
-    """Nothing to predict with."""
+    """Serve an empty registry."""
     return serve_in_thread(LoadedModels(Registry(folder / "empty"), load_fake))
 
 
 def failing(folder: Path) -> AbstractContextManager[Client]:
-    """A model that fails on every push but its own check."""
+    """Serve a model that fails on every push but that of its self-check."""
     return serve_in_thread(fake(folder, model=FAILING))
 
 
 def buggy(folder: Path) -> AbstractContextManager[Client]:
-    """One in which an error comes up that nobody expects."""
+    """Serve a model that raises an error outside of the error tree."""
     return serve_in_thread(fake(folder, model=BUGGY))
 
 
-def impatient(folder: Path) -> AbstractContextManager[Client]:
-    """A tenth of a second for a head, and another for a body."""
+def short_timeouts(folder: Path) -> AbstractContextManager[Client]:
+    """Serve with a timeout of 0.1 s for a head, and of 0.1 s for a body."""
     return serve_in_thread(fake(folder), body_timeout_s=0.1)
 
 
-def little_memory(folder: Path) -> AbstractContextManager[Client]:
-    """A megabyte for all bodies together."""
+def small_memory(folder: Path) -> AbstractContextManager[Client]:
+    """Serve with a limit of 1 MiB for the bodies of all requests together."""
     return serve_in_thread(fake(folder), max_held_bytes=1 << 20)
 
 
 @contextmanager
-def other_key(folder: Path) -> Iterator[Client]:
-    """A key that covers no prediction, sent with every request that sends none."""
+def key_without_scope(folder: Path) -> Iterator[Client]:
+    """Serve with API keys. The client sends a key without the scope of predictions by default."""
     made, key = Grant.new("grafana", frozenset([Scope.METRICS]))
     (folder / "keys").write_text(made.line() + "\n")
     with serve_in_thread(shipped(), keys=folder / "keys") as client:
@@ -128,8 +128,8 @@ def other_key(folder: Path) -> Iterator[Client]:
 
 
 @contextmanager
-def held(folder: Path, requests: int, **settings: Any) -> Iterator[Client]:
-    """So many large batches are being answered, and will be once the test is over."""
+def blocked(folder: Path, requests: int, **settings: Any) -> Iterator[Client]:
+    """Serve while this number of large batches is blocked in the predictor. They are answered after the test."""
     gate = Gate()
     with serve_in_thread(fake(folder, gate.load), **settings) as client, ThreadPoolExecutor(requests or 1) as callers:
         try:
@@ -141,28 +141,28 @@ def held(folder: Path, requests: int, **settings: Any) -> Iterator[Client]:
         assert [one.result().status_code for one in waiting] == [200] * requests
 
 
-def one_at_once(folder: Path) -> AbstractContextManager[Client]:
-    """One request is being answered, and no more may be."""
-    return held(folder, 1, max_in_flight=1)
+def one_request_at_a_time(folder: Path) -> AbstractContextManager[Client]:
+    """Serve with a limit of one request in flight, which is reached."""
+    return blocked(folder, 1, max_in_flight=1)
 
 
-def one_a_caller(folder: Path) -> AbstractContextManager[Client]:
-    """One request of this caller is."""
-    return held(folder, 1, max_in_flight_per_caller=1)
+def one_request_per_caller(folder: Path) -> AbstractContextManager[Client]:
+    """Serve with a limit of one request in flight per caller, which is reached."""
+    return blocked(folder, 1, max_in_flight_per_caller=1)
 
 
-def no_thread_left(folder: Path) -> AbstractContextManager[Client]:
-    """Every thread has its batch, and none may wait."""
-    return held(folder, threads_beside_the_loop(), max_waiting=0)
+def no_free_thread(folder: Path) -> AbstractContextManager[Client]:
+    """Serve with all threads busy and no place to wait."""
+    return blocked(folder, threads_beside_the_loop(), max_waiting=0)
 
 
 def short_deadline(folder: Path) -> AbstractContextManager[Client]:
-    """What is asked for takes longer than it may."""
-    return held(folder, 0, deadline_s=0.1)
+    """Serve with a deadline of 0.1 s and a predictor that takes longer."""
+    return blocked(folder, 0, deadline_s=0.1)
 
 
 PROVOKED: list[tuple[Situation, str, str, str, Any, dict[str, str]]] = [
-    # situation, code, template, path, what is sent, headers
+    # situation, code, template, path, body, headers
     (small_bodies, "malformed_body", PREDICT, PREDICT, b"{", {}),
     (small_bodies, "unknown_model", PREDICT, PREDICT, {**PLAIN, "model": "push-other"}, {}),
     (small_bodies, "not_acceptable", PREDICT, PREDICT, PLAIN, {"Accept": "text/html"}),
@@ -184,40 +184,40 @@ PROVOKED: list[tuple[Situation, str, str, str, Any, dict[str, str]]] = [
     (no_model, "model_not_ready", PREDICT, PREDICT, PLAIN, {}),
     (no_model, "model_not_ready", "/v2/health/ready", "/v2/health/ready", None, {}),
     (failing, "prediction", PREDICT, PREDICT, PLAIN, {}),
-    (other_key, "forbidden", PREDICT, PREDICT, PLAIN, {}),
-    (other_key, "forbidden", "/v2", "/v2", None, {}),
-    (other_key, "missing_key", PREDICT, PREDICT, PLAIN, {"Authorization": ""}),
-    (other_key, "missing_key", "/v1/models", "/v1/models", None, {"Authorization": ""}),
+    (key_without_scope, "forbidden", PREDICT, PREDICT, PLAIN, {}),
+    (key_without_scope, "forbidden", "/v2", "/v2", None, {}),
+    (key_without_scope, "missing_key", PREDICT, PREDICT, PLAIN, {"Authorization": ""}),
+    (key_without_scope, "missing_key", "/v1/models", "/v1/models", None, {"Authorization": ""}),
     (failing, "prediction", BATCH, BATCH, LARGE, {}),
     (buggy, "internal", PREDICT, PREDICT, PLAIN, {}),
     (buggy, "internal", BATCH, BATCH, LARGE, {}),
-    (one_a_caller, "too_many_requests", PREDICT, PREDICT, PLAIN, {}),
-    (one_a_caller, "too_many_requests", "/v1/models", "/v1/models", None, {}),
-    (one_a_caller, "too_many_requests", "/v2/models/{name}/infer", INFER, b"{}", {}),
-    (one_at_once, "overloaded", PREDICT, PREDICT, PLAIN, {}),
-    (one_at_once, "overloaded", "/v1/models", "/v1/models", None, {}),
-    (one_at_once, "overloaded", "/v2/models/{name}/infer", INFER, b"{}", {}),
-    (no_thread_left, "overloaded", BATCH, BATCH, LARGE, {}),
-    (little_memory, "overloaded", PREDICT, PREDICT, b" " * (2 << 20), {}),
+    (one_request_per_caller, "too_many_requests", PREDICT, PREDICT, PLAIN, {}),
+    (one_request_per_caller, "too_many_requests", "/v1/models", "/v1/models", None, {}),
+    (one_request_per_caller, "too_many_requests", "/v2/models/{name}/infer", INFER, b"{}", {}),
+    (one_request_at_a_time, "overloaded", PREDICT, PREDICT, PLAIN, {}),
+    (one_request_at_a_time, "overloaded", "/v1/models", "/v1/models", None, {}),
+    (one_request_at_a_time, "overloaded", "/v2/models/{name}/infer", INFER, b"{}", {}),
+    (no_free_thread, "overloaded", BATCH, BATCH, LARGE, {}),
+    (small_memory, "overloaded", PREDICT, PREDICT, b" " * (2 << 20), {}),
     (short_deadline, "deadline_exceeded", BATCH, BATCH, LARGE, {}),
     (short_deadline, "deadline_exceeded", "/v2/models/{name}/infer", INFER, LARGE_TENSORS, {}),
 ]
-# On the wire, since no client sends such: situation, code, template if it has one, bytes
+# Requests that no HTTP client sends: situation, code, template if it has one, bytes
 HEAD = b"POST %s HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
-ON_THE_WIRE: list[tuple[Situation, str, str, bytes]] = [
-    (impatient, "slow_head", "", b"GET /livez HTTP/1.1\r\nX: "),
-    (impatient, "slow_body", PREDICT, HEAD % PREDICT.encode() + b"Content-Length: 2\r\n\r\n{"),
-    (impatient, "slow_body", "/v2/models/{name}/infer", HEAD % INFER.encode() + b"Content-Length: 2\r\n\r\n{"),
-    (impatient, "malformed_request", "", b"predict, please\r\n\r\n"),
-    (impatient, "head_too_large", "", b"GET /livez HTTP/1.1\r\nX: " + b"a" * MAX_HEAD_BYTES),
-    (impatient, "no_such_route", "", b"GET /v1/other HTTP/1.1\r\nHost: localhost\r\n\r\n"),
-    (impatient, "method_not_allowed", "", b"DELETE /v1/models HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+RAW_REQUESTS: list[tuple[Situation, str, str, bytes]] = [
+    (short_timeouts, "slow_head", "", b"GET /livez HTTP/1.1\r\nX: "),
+    (short_timeouts, "slow_body", PREDICT, HEAD % PREDICT.encode() + b"Content-Length: 2\r\n\r\n{"),
+    (short_timeouts, "slow_body", "/v2/models/{name}/infer", HEAD % INFER.encode() + b"Content-Length: 2\r\n\r\n{"),
+    (short_timeouts, "malformed_request", "", b"predict, please\r\n\r\n"),
+    (short_timeouts, "head_too_large", "", b"GET /livez HTTP/1.1\r\nX: " + b"a" * MAX_HEAD_BYTES),
+    (short_timeouts, "no_such_route", "", b"GET /v1/other HTTP/1.1\r\nHost: localhost\r\n\r\n"),
+    (short_timeouts, "method_not_allowed", "", b"DELETE /v1/models HTTP/1.1\r\nHost: localhost\r\n\r\n"),
 ]
 
 
 @pytest.fixture(autouse=True)
-def nothing_escapes(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Whatever is provoked, the server below the app hears of no exception."""
+def no_exception_escapes(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    """Check that no exception of the app reaches uvicorn."""
     yield
     assert not [one for one in caplog.get_records("call") if (one.name, one.levelname) == ("uvicorn.error", "ERROR")]
 
@@ -227,10 +227,10 @@ def nothing_escapes(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
     PROVOKED,
     ids=[f"{one[0].__name__} {one[1]} {one[2]}" for one in PROVOKED],
 )
-def test_an_error_that_is_provoked_is_what_its_example_shows(
+def test_a_provoked_error_is_like_its_example(
     situation: Situation, code: str, template: str, path: str, sent: Any, headers: dict[str, str], tmp_path: Path
 ) -> None:
-    """Its status, its media type, its code and title, and the fields it has."""
+    """A provoked error has the status, media type, code, title and fields of its example in the OpenAPI document."""
     with situation(tmp_path) as client:
         content = sent if isinstance(sent, bytes | None) else json.dumps(sent).encode()
         response = client.request("GET" if sent is None else "POST", path, content=content, headers=JSON | headers)
@@ -239,12 +239,12 @@ def test_an_error_that_is_provoked_is_what_its_example_shows(
 
 
 @pytest.mark.parametrize(
-    ("situation", "code", "template", "sent"), ON_THE_WIRE, ids=[f"{one[1]} {one[2]}" for one in ON_THE_WIRE]
+    ("situation", "code", "template", "sent"), RAW_REQUESTS, ids=[f"{one[1]} {one[2]}" for one in RAW_REQUESTS]
 )
-def test_an_error_on_the_wire_is_what_its_example_shows(
+def test_an_error_of_raw_bytes_is_like_its_example(
     situation: Situation, code: str, template: str, sent: bytes, tmp_path: Path
 ) -> None:
-    """Likewise; what is no operation of the document has its line in docs/api.md."""
+    """An error that only raw bytes provoke is like its example, or in the table of errors if it has no operation."""
     with situation(tmp_path) as client, socket.create_connection(("127.0.0.1", client.base_url.port)) as connection:
         connection.sendall(sent)
         response = HTTPResponse(connection)
@@ -255,7 +255,7 @@ def test_an_error_on_the_wire_is_what_its_example_shows(
 
 
 def check(operation: Json | None, code: str, status: int, media_type: str, answer: Json) -> None:
-    """Compare an answer with the example of this code, and with the table of errors."""
+    """Compare an answer with the example of its code and with the table of errors."""
     protocol = media_type == "application/json"
     if not protocol:
         assert (answer["status"], answer["code"], answer["type"]) == (status, code, f"urn:cazsl:problem:{code}")
@@ -266,7 +266,7 @@ def check(operation: Json | None, code: str, status: int, media_type: str, answe
     assert media_type == media[0]
     example = examples_of(media[1])[code]["value"]
     assert answer.keys() == example.keys()
-    if protocol:  # which has no codes: the sentence says which it is
+    if protocol:  # its errors have no codes: the sentence is compared
         assert code not in LIMITS or without_numbers(answer["error"]) == without_numbers(example["error"])
     else:
         assert (answer["title"], answer["status"]) == (example["title"], example["status"])
@@ -274,19 +274,19 @@ def check(operation: Json | None, code: str, status: int, media_type: str, answe
 
 
 def without_numbers(text: str) -> str:
-    """A sentence about a limit, whatever the limit is."""
+    """Replace every number of a sentence by 0."""
     return re.sub(r"\d[\d.]*", "0", text)
 
 
-def test_every_error_that_is_documented_is_provoked_here() -> None:
-    """Those of the table, and those that the document has an example of."""
-    provoked = {one[1] for one in PROVOKED} | {one[1] for one in ON_THE_WIRE}
+def test_every_documented_error_is_provoked() -> None:
+    """Every error of the table in docs/api.md is provoked, and every error with an example in the OpenAPI document."""
+    provoked = {one[1] for one in PROVOKED} | {one[1] for one in RAW_REQUESTS}
     assert provoked == {code for _, code in listed_errors()}
     assert {name.partition("_")[2] for name in document()["components"]["examples"]} <= provoked
 
 
-def test_what_was_too_late_is_not_begun_again(tmp_path: Path) -> None:
-    """One batch, one thread, one deadline."""
+def test_a_batch_after_its_deadline_is_not_computed_again(tmp_path: Path) -> None:
+    """A batch that misses its deadline is refused once, counted once, and not computed a second time."""
     gate = Gate()
     with serve_in_thread(fake(tmp_path, gate.load), deadline_s=0.1) as client:
         assert client.post(BATCH, json=LARGE).status_code == 503
