@@ -96,6 +96,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
 HOMES: Mapping[str, frozenset[str]] = {
     module: frozenset(libraries.split())
     for module, libraries in {
+        "service.model.manifest": "pydantic",
         "service.model.predictor": "onnxruntime",
         "service.model.onnx_graph": "onnx google",
         "service.pushing.images": "PIL",

@@ -1,4 +1,4 @@
-"""Model references and manifests."""
+"""Manifests: both laws of the text, every format, and refusals that name the field."""
 
 import json
 from dataclasses import replace
@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from service.errors import BrokenModelError, InvalidRequestError
+from service.errors import BrokenModelError
 from service.model.manifest import CARD_FILE, MODEL_FILE, FileDigest, Manifest
-from service.model.reference import ModelReference
 from service.model.tensors import ContextKind
 from tests.fakes import draft_manifest
 
@@ -19,64 +16,13 @@ DIGEST = FileDigest.of(b"content")
 
 
 def whole(kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
-    """A manifest as it stands on disk."""
+    """Return a manifest as it is published, with the digests of its files."""
     return replace(draft_manifest(kind=kind), files={MODEL_FILE: DIGEST, CARD_FILE: DIGEST})
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("push-indicator", ModelReference("push-indicator", "champion", None)),
-        ("push-indicator@canary", ModelReference("push-indicator", "canary", None)),
-        ("push-indicator@10", ModelReference("push-indicator", None, 10)),
-    ],
-    ids=["name alone", "alias", "version"],
-)
-def test_a_reference_is_a_name_with_an_alias_or_a_version(text: str, expected: ModelReference) -> None:
-    """A name alone means its champion."""
-    assert ModelReference.parse(text) == expected
-    assert ModelReference.parse(str(expected)) == expected
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "@1",
-        "name@",
-        "name@0",
-        "name@01",
-        "name@1@2",
-        "../x",
-        "a/b",
-        "Name",
-        "name@-1",
-        "n" * 65,
-        "name@1.5",
-        "a\nb",
-    ],
-)
-def test_what_is_no_reference_is_refused_without_being_repeated(text: str) -> None:
-    """Paths, capitals, zeros and line ends are no references."""
-    with pytest.raises(InvalidRequestError) as caught:
-        ModelReference.parse(text, "body.model")
-    assert caught.value.faults[0].where == "body.model"
-    assert caught.value.faults[0].received == f"a text of {len(text)} characters"
-
-
-@given(st.text(max_size=40))
-def test_parsing_any_text_as_a_reference_ends_in_a_reference_or_our_error(text: str) -> None:
-    """No text does anything else."""
-    try:
-        reference = ModelReference.parse(text)
-    except InvalidRequestError:
-        return
-    assert ModelReference.parse(str(reference)) == reference
 
 
 @pytest.mark.parametrize("kind", ContextKind)
 def test_a_manifest_survives_the_round_trip(kind: ContextKind) -> None:
-    """Both laws: parse of render is the manifest, render of parse is the text."""
+    """Both laws hold: parsing the rendered text gives the manifest, and rendering that gives the text."""
     manifest = whole(kind)
     text = manifest.render()
     assert Manifest.parse(text) == manifest
@@ -86,13 +32,13 @@ def test_a_manifest_survives_the_round_trip(kind: ContextKind) -> None:
 
 
 def test_a_manifest_of_format_1_is_read_for_ever(project_root: Path) -> None:
-    """A sample of the format stays in the tests: what was published once can always be read."""
+    """A published sample of format 1 is read, and rendered to the same bytes."""
     content = (project_root / "tests" / "data" / "manifest-format-1.json").read_bytes()
     assert Manifest.parse(content).render() == content
 
 
 def test_every_flipped_bit_of_a_manifest_is_refused() -> None:
-    """Spaces, digits, names, the digest itself: no bit of the text can change."""
+    """No bit of the text can change: in spaces, digits, names or the digest itself."""
     content = whole().render()
     for place in range(len(content)):
         for bit in range(8):
@@ -101,16 +47,35 @@ def test_every_flipped_bit_of_a_manifest_is_refused() -> None:
                 Manifest.parse(flipped)
 
 
-def _changed(*path: str | int, to: Any) -> bytes:
-    document: Any = json.loads(whole().render())
-    place = document
+def _changed(*path: str | int, to: Any, manifest: Manifest = whole()) -> bytes:  # noqa: B008 (frozen)
+    """Return the text of a manifest with one field replaced, or removed with None."""
+    document: Any = json.loads(manifest.render())
+    parent = document
     for part in path[:-1]:
-        place = place[part]
+        parent = parent[part]
     if to is None:
-        del place[path[-1]]
+        del parent[path[-1]]
     else:
-        place[path[-1]] = to
+        parent[path[-1]] = to
     return json.dumps(document).encode()
+
+
+def test_values_of_a_recipe_keep_their_types() -> None:
+    """A recipe reads texts, integers, fractions and booleans as they are: 1, 1.0 and true are three values."""
+    recipe: dict[str, str | int | float | bool] = {"a": "1", "b": 1, "c": 1.0, "d": True}
+    manifest = replace(whole(), recipe=recipe)
+    found = Manifest.parse(manifest.render()).recipe
+    assert [(name, type(value)) for name, value in found.items()] == [
+        (name, type(value)) for name, value in recipe.items()
+    ]
+    assert found == recipe
+
+
+def test_an_integer_is_a_number_where_a_fraction_is_expected() -> None:
+    """JSON has one type of number, so 1 is read as 1.0 in a field of fractions."""
+    content = _changed("metrics", "different-objects", "rmse", to=1, manifest=replace(whole(), format=1))
+    found = Manifest.parse(content).metrics["different-objects"].rmse
+    assert (found, type(found)) == (1.0, float)
 
 
 @pytest.mark.parametrize(
@@ -126,8 +91,11 @@ def _changed(*path: str | int, to: Any) -> bytes:
         (_changed("sha256", to=None), "sha256"),
         (_changed("recipe", "epochs", to=2), "sha256"),
         (whole().render() + b" ", "sha256"),
-        (whole().render().replace(b"fake pushes", b"\\ud800"), "sha256"),
+        (whole().render().replace(b"fake pushes", b"\\ud800"), "not a JSON document"),
         (json.dumps(json.loads(whole().render()), indent=2).encode(), "sha256"),
+        (_changed("sha256", to="0" * 64, manifest=replace(whole(), format=1)), "sha256"),
+        (_changed("sha256", to="", manifest=replace(whole(), format=1)), "sha256"),
+        (_changed("format", to=None), "sha256"),
         (_changed("version", to=0), "version"),
         (_changed("version", to=True), "version"),
         (_changed("version", to=1.0), "version"),
@@ -141,13 +109,18 @@ def _changed(*path: str | int, to: Any) -> bytes:
         (_changed("files", "../model.onnx", to={"size": 1, "sha256": "0" * 64}), "files"),
         (_changed("files", MODEL_FILE, "sha256", to="0" * 63), "files"),
         (_changed("files", MODEL_FILE, "size", to=-1), "files"),
+        (_changed("files", CARD_FILE, to=None), "files"),
+        (_changed("recipe", "epochs", to=[2]), "recipe.epochs"),
+        (_changed("recipe", "epochs", to=float("inf")), "recipe.epochs"),
+        (_changed("normalisation", "input_mean", to=[True, 0.0, 0.0]), "normalisation.input_mean.0"),
+        (_changed("normalisation", "input_mean", to=[2.0**63, 0.0, 0.0]), "normalisation.input_mean.0"),
         (_changed("metrics", "different-objects", "rmse", to="low"), "metrics.different-objects.rmse"),
         (_changed("self_check", "tolerance", to=0.0), "tolerance"),
-        (whole().render().replace(b'"tolerance": 0.0001', b'"tolerance": NaN'), "not a JSON document"),
+        (whole().render().replace(b'"tolerance": 0.0001', b'"tolerance": NaN'), "tolerance"),
         (whole().render().replace(b'"tolerance": 0.0001', b'"tolerance": 1e999'), "tolerance"),
     ],
 )
-def test_what_is_no_manifest_is_refused_by_field(content: bytes, message: str) -> None:
-    """The error names the field at fault."""
+def test_an_invalid_manifest_is_refused_by_field(content: bytes, message: str) -> None:
+    """A text that is not a manifest is refused with an error that names the field at fault."""
     with pytest.raises(BrokenModelError, match=message):
         Manifest.parse(content)
