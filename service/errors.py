@@ -56,25 +56,22 @@ class FieldFault:
 class CazslError(Exception):
     """The root of the tree."""
 
-    code = "internal"
+    code, title = "internal", "Internal error"
     status = HTTPStatus.INTERNAL_SERVER_ERROR
-    title = "Internal error"
 
 
 class RequestError(CazslError):
     """The request cannot be answered as it was sent."""
 
-    code = "bad_request"
+    code, title = "bad_request", "Bad request"
     status = HTTPStatus.BAD_REQUEST
-    title = "Bad request"
 
 
 class InvalidRequestError(RequestError):
     """One or more fields are missing, mis-shaped, not finite or not allowed."""
 
-    code = "invalid_request"
+    code, title = "invalid_request", "The request is not valid"
     status = HTTPStatus.UNPROCESSABLE_ENTITY
-    title = "The request is not valid"
 
     def __init__(self, faults: Sequence[FieldFault]) -> None:
         self.faults = tuple(faults)
@@ -93,73 +90,61 @@ class InvalidRequestError(RequestError):
 class InvalidImageError(InvalidRequestError):
     """An image is broken, truncated, animated, or has trailing data."""
 
-    code = "invalid_image"
-    title = "The image is not valid"
+    code, title = "invalid_image", "The image is not valid"
 
 
 class MalformedBodyError(RequestError):
     """The body is not the JSON document in UTF-8, form, or JSON with tensors that it is declared to be."""
 
-    code = "malformed_body"
-    title = "The body is malformed"
+    code, title = "malformed_body", "The body is malformed"
 
 
 class MissingKeyError(RequestError):
     """An API key is required, and none or an unknown one was sent."""
 
-    code = "missing_key"
+    code, title = "missing_key", "An API key is required"
     status = HTTPStatus.UNAUTHORIZED
-    title = "An API key is required"
 
     def __init__(self) -> None:
-        super().__init__(
-            "header Authorization: received no known key; accepted is 'Bearer ' followed by a key of this service"
-        )
+        super().__init__("header Authorization: received no known key; accepted is 'Bearer ' and a key of this service")
 
 
 class ForbiddenError(RequestError):
     """The API key is known and lacks the scope of the route."""
 
-    code = "forbidden"
+    code, title = "forbidden", "The API key lacks the scope"
     status = HTTPStatus.FORBIDDEN
-    title = "The API key lacks the scope"
 
     def __init__(self, scope: str) -> None:
-        super().__init__(
-            f"header Authorization: received a key without scope {scope}; accepted is a key with scope {scope}"
-        )
+        super().__init__(f"header Authorization: received a key without scope {scope}; accepted is a key with it")
 
 
 class NotAcceptableError(RequestError):
     """The Accept header excludes the content type of the answer."""
 
-    code = "not_acceptable"
+    code, title = "not_acceptable", "The content type is not acceptable"
     status = HTTPStatus.NOT_ACCEPTABLE
-    title = "The content type is not acceptable"
 
-    def __init__(self, form: str = "application/json") -> None:
-        super().__init__(f"header Accept: received one without {form}; accepted is {form}, */* or no such header")
+    def __init__(self) -> None:
+        form = "application/json"
+        super().__init__(f"header Accept: received types without {form}; accepted is {form}, */* or no such header")
 
 
 class SlowBodyError(RequestError):
     """The body did not arrive in time."""
 
-    code = "slow_body"
+    code, title = "slow_body", "The body did not arrive in time"
     status = HTTPStatus.REQUEST_TIMEOUT
-    title = "The body did not arrive in time"
 
     def __init__(self, limit_s: float) -> None:
-        super().__init__(
-            f"body: received only a part within {limit_s:g} s; accepted is a body that arrives within {limit_s:g} s"
-        )
+        super().__init__(f"body: received only a part within {limit_s:g} s; accepted is all of it within {limit_s:g} s")
 
 
 class TooManyRequestsError(RequestError):
     """One caller has more requests in flight than its share."""
 
-    code = "too_many_requests"
+    code, title = "too_many_requests", "Too many requests"
     status = HTTPStatus.TOO_MANY_REQUESTS
-    title = "Too many requests"
 
     def __init__(self, limit: int) -> None:
         super().__init__(f"received more than {limit} concurrent requests; accepted is up to {limit} per caller")
@@ -168,9 +153,8 @@ class TooManyRequestsError(RequestError):
 class BodyTooLargeError(RequestError):
     """The body is over the limit, declared or counted."""
 
-    code = "body_too_large"
+    code, title = "body_too_large", "The body is too large"
     status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
-    title = "The body is too large"
 
     def __init__(self, limit_bytes: int) -> None:
         self.limit_bytes = limit_bytes
@@ -180,9 +164,8 @@ class BodyTooLargeError(RequestError):
 class ImageTooLargeError(RequestError):
     """An image has more bytes, pixels or pixels per side than the limit. Raised before pixels are decoded."""
 
-    code = "image_too_large"
+    code, title = "image_too_large", "The image is too large"
     status = HTTPStatus.REQUEST_ENTITY_TOO_LARGE
-    title = "The image is too large"
 
     def __init__(self, where: str, received: str, accepted: str) -> None:
         super().__init__(str(FieldFault(where, received, accepted)))
@@ -191,54 +174,47 @@ class ImageTooLargeError(RequestError):
 class UnsupportedMediaTypeError(RequestError):
     """The content type or encoding of the body is not one that the route reads."""
 
-    code = "unsupported_media_type"
+    code, title = "unsupported_media_type", "The content type is not supported"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
-    title = "The content type is not supported"
 
 
 class UnsupportedImageError(RequestError):
     """An image is not PNG, JPEG or WebP, or is a rare variety of these."""
 
-    code = "unsupported_image"
+    code, title = "unsupported_image", "The image format is not supported"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE
-    title = "The image format is not supported"
 
 
 class UnknownModelError(RequestError):
     """No such model, version or alias is served."""
 
-    code = "unknown_model"
+    code, title = "unknown_model", "Unknown model"
     status = HTTPStatus.NOT_FOUND
-    title = "Unknown model"
 
 
 class ContextKindError(InvalidRequestError):
     """The model takes another kind of object context."""
 
-    code = "wrong_context_kind"
-    title = "The model takes another kind of context"
+    code, title = "wrong_context_kind", "The model takes another kind of context"
 
 
 class UnavailableError(CazslError):
     """The request can be sent again after a moment."""
 
-    code = "unavailable"
+    code, title = "unavailable", "Temporarily unavailable"
     status = HTTPStatus.SERVICE_UNAVAILABLE
-    title = "Temporarily unavailable"
 
 
 class ModelNotReadyError(UnavailableError):
     """The model is known but not loaded, or no model is."""
 
-    code = "model_not_ready"
-    title = "The model is not ready"
+    code, title = "model_not_ready", "The model is not ready"
 
 
 class OverloadedError(UnavailableError):
     """The requests or bytes in this process are over a limit."""
 
-    code = "overloaded"
-    title = "The service is overloaded"
+    code, title = "overloaded", "The service is overloaded"
 
     def __init__(self, limit: str) -> None:
         super().__init__(f"the service is at its limit of {limit}; retry after the Retry-After delay")
@@ -247,8 +223,7 @@ class OverloadedError(UnavailableError):
 class DeadlineError(UnavailableError):
     """The answer was not ready in time."""
 
-    code = "deadline_exceeded"
-    title = "Deadline exceeded"
+    code, title = "deadline_exceeded", "Deadline exceeded"
 
     def __init__(self, limit_s: float) -> None:
         super().__init__(f"the answer was not ready within {limit_s:g} s; send fewer pushes, or try again")
@@ -257,61 +232,52 @@ class DeadlineError(UnavailableError):
 class RegistryError(CazslError):
     """The registry is missing, unreadable, or refuses an operation."""
 
-    code = "registry"
-    title = "Registry error"
+    code, title = "registry", "Registry error"
 
 
 class BrokenModelError(RegistryError):
     """A version does not pass verification."""
 
-    code = "broken_model"
-    title = "The model version does not pass verification"
+    code, title = "broken_model", "The model version does not pass verification"
 
 
 class PublishError(RegistryError):
     """A version could not be published. It did not become visible."""
 
-    code = "publish"
-    title = "The version was not published"
+    code, title = "publish", "The version was not published"
 
 
 class ConflictError(RegistryError):
     """Another writer changed it first. It stays as it is."""
 
-    code = "conflict"
-    title = "Another writer changed it first"
+    code, title = "conflict", "Another writer changed it first"
 
 
 class InUseError(RegistryError):
     """A version that an alias names cannot be removed."""
 
-    code = "in_use"
-    title = "The version is in use"
+    code, title = "in_use", "The version is in use"
 
 
 class PredictionError(CazslError):
     """The runtime failed, or its answer is not a Gaussian: not finite, or a std that is not positive."""
 
-    code = "prediction"
-    title = "The prediction failed"
+    code, title = "prediction", "The prediction failed"
 
 
 class SettingsError(CazslError):
     """A setting is unknown or impossible. The message names it and its source."""
 
-    code = "settings"
-    title = "The settings are not valid"
+    code, title = "settings", "The settings are not valid"
 
 
 class DataError(CazslError):
     """Files of pushes or results cannot be read or written. The message names the file and the expectation."""
 
-    code = "data"
-    title = "The data cannot be used"
+    code, title = "data", "The data cannot be used"
 
 
 class WorkforceError(CazslError):
     """Bulk work has no executor: an extra is not installed, no cluster answers, or workers were lost."""
 
-    code = "workforce"
-    title = "No executor for bulk work"
+    code, title = "workforce", "No executor for bulk work"
