@@ -1,4 +1,4 @@
-"""Two service processes over one registry: what reaches both, and what the death of one costs the other."""
+"""Replicas: two service processes over one registry. A promotion reaches both, and each survives the other."""
 
 import http.client
 import json
@@ -23,7 +23,7 @@ JSON = {"Content-Type": "application/json"}
 
 @dataclass
 class Replica:
-    """A service process on a port, started again after its death."""
+    """A service process on a port, which can be killed and started again."""
 
     port: int
     registry: Registry
@@ -32,21 +32,21 @@ class Replica:
 
     @classmethod
     def started(cls, registry: Registry, log: Path) -> "Replica":
-        """The first process, which does not answer yet."""
+        """Start the first process. It is not ready yet."""
         port = free_port()
         return cls(port, registry, log, _launched(port, registry, log))
 
     def start_again(self) -> None:
-        """The next process on the same port."""
+        """Start the next process on the same port."""
         self.process = _launched(self.port, self.registry, self.log)
 
     def kill(self) -> None:
-        """SIGKILL, and wait until it is gone."""
+        """Kill the process with SIGKILL, and wait for its end."""
         self.process.kill()
         self.process.wait()
 
     def readiness(self) -> int | None:
-        """The status of /readyz; None: the connection is refused."""
+        """Return the status of /readyz, or None if the connection is refused."""
         assert self.process.poll() is None or self.process.returncode < 0, self.log.read_text()
         try:
             return self._ask("GET", "/readyz", None)[0]
@@ -54,15 +54,15 @@ class Replica:
             return None
 
     def is_ready(self) -> bool:
-        """Whether it says so."""
+        """Return whether /readyz answers with 200."""
         return self.readiness() == 200
 
     def serves(self, version: int) -> bool:
-        """Whether a prediction, which must be answered, comes from that version."""
+        """Return whether this version answers a prediction. The prediction must be answered."""
         return self.version() == version
 
     def version(self) -> int:
-        """The version that answers a prediction, which must be answered."""
+        """Return the version that answers a prediction. The prediction must be answered."""
         status, body = self._ask("POST", "/v1/predict", BODY)
         assert status == 200, body
         return int(json.loads(body)["model"]["version"])
@@ -91,7 +91,7 @@ def _launched(port: int, registry: Registry, log: Path) -> subprocess.Popen[byte
 
 @pytest.fixture
 def replicas(tmp_path: Path) -> Iterator[list[Replica]]:
-    """Two of them over a copy of the shipped registry, ready."""
+    """Run two replicas over a copy of the shipped registry. Both are ready."""
     registry = Registry(tmp_path / "models")
     shutil.copytree(ROOT / "models", registry.root)
     both = [Replica.started(registry, tmp_path / f"log-{place}") for place in range(2)]
@@ -104,8 +104,8 @@ def replicas(tmp_path: Path) -> Iterator[list[Replica]]:
             replica.kill()
 
 
-def promote_anew(registry: Registry) -> int:
-    """Publish the first version once more, as the champion."""
+def publish_champion(registry: Registry) -> int:
+    """Publish the first version again and make it the champion. Return its number."""
     first = registry.read(NAME, 1)
     version = registry.publish(first.manifest, first.model, first.card).version
     registry.point_alias(NAME, "champion", version)
@@ -113,20 +113,20 @@ def promote_anew(registry: Registry) -> int:
 
 
 def test_a_promote_reaches_both_replicas(replicas: list[Replica]) -> None:
-    """Nobody tells them: each sees it in the registry that they share, and answers with nothing older from then on."""
+    """A promotion reaches both replicas through the registry. From then on, neither answers with an older version."""
     for _ in range(3):
-        version = promote_anew(replicas[0].registry)
+        version = publish_champion(replicas[0].registry)
         for replica in replicas:
             wait_until(partial(replica.serves, version))
         assert [replica.version() for replica in replicas for _ in range(5)] == [version] * 10
 
 
-def test_a_replica_that_is_killed_costs_the_other_nothing_and_comes_back(replicas: list[Replica]) -> None:
-    """SIGKILL: the other answers all the while; the killed one refuses, then is not ready, then ready and right."""
+def test_a_killed_replica_does_not_disturb_the_other_and_returns(replicas: list[Replica]) -> None:
+    """While one replica is killed and started again, the other answers. The first is ready only with its models."""
     killed, other = replicas
     killed.kill()
     assert killed.readiness() is None
-    version = promote_anew(other.registry)
+    version = publish_champion(other.registry)
     wait_until(partial(other.serves, version))
     killed.start_again()
     seen = set[int | None]()
@@ -136,5 +136,5 @@ def test_a_replica_that_is_killed_costs_the_other_nothing_and_comes_back(replica
         return other.serves(version) and 200 in seen
 
     wait_until(is_back)
-    assert killed.version() == version, "it said that it was ready"
+    assert killed.version() == version, "the replica was ready before it had the version"
     assert seen <= {None, 503, 200}

@@ -1,4 +1,4 @@
-"""The service as ops run it: a real process, real sockets, real signals, the model that ships."""
+"""Service process as operators run it: with sockets, signals and the shipped models."""
 
 import http.client
 import json
@@ -33,7 +33,7 @@ class Running:
     registry: Registry
 
     def ask(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any]:
-        """One request on a connection of its own."""
+        """Send a request on a new connection. Return status and JSON of the answer."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
         try:
             connection.request(method, path, body, JSON)
@@ -43,31 +43,31 @@ class Running:
             connection.close()
 
     def served_version(self) -> int:
-        """Which version the champion is now, as an answer says it."""
+        """Return the version of the champion, as a prediction names it."""
         status, answer = self.ask("POST", "/v1/predict", BODY)
         assert status == 200, answer
         return int(answer["model"]["version"])
 
     def serves(self, version: int) -> bool:
-        """Whether the champion is that version now."""
+        """Return whether the champion is this version."""
         return self.served_version() == version
 
     def publish(self) -> int:
-        """Publish the first version once more and make it the champion."""
+        """Publish the first version again and make it the champion. Return its number."""
         version = publish_again(self.registry)
         self.registry.point_alias("push-indicator", "champion", version)
         return version
 
 
 def publish_again(registry: Registry) -> int:
-    """Publish the first version as the next one."""
+    """Publish the first version as the next one. Return its number."""
     first = registry.read("push-indicator", 1)
     return registry.publish(first.manifest, first.model, first.card).version
 
 
 @pytest.fixture
 def running(project_root: Path, tmp_path: Path) -> Iterator[Running]:
-    """A service over a copy of the shipped registry, looking for news ten times a second."""
+    """Run a service over a copy of the shipped registry, with ten polls a second."""
     root = tmp_path / "models"
     shutil.copytree(project_root / "models", root)
     port = free_port()
@@ -95,8 +95,8 @@ def running(project_root: Path, tmp_path: Path) -> Iterator[Running]:
     process.wait()
 
 
-def test_the_readmes_request_gets_its_answer(running: Running) -> None:
-    """Mean and std in metres and radians from push-indicator's champion."""
+def test_the_request_of_the_readme_is_answered(running: Running) -> None:
+    """The request of the README gets a mean and a std from the champion of push-indicator."""
     status, answer = running.ask("POST", "/v1/predict", BODY)
     assert status == 200
     champion = running.registry.aliases("push-indicator")["champion"]
@@ -106,11 +106,11 @@ def test_the_readmes_request_gets_its_answer(running: Running) -> None:
 
 
 def test_new_versions_are_served_without_a_restart_or_a_lost_request(running: Running) -> None:
-    """Four clients ask without a pause while three versions appear: every answer is a 200, the last from the newest."""
+    """Four clients send requests while three versions appear. Each answer is a 200, the last from the newest version."""
     stop, failures, versions = threading.Event(), [], set()
     before = running.served_version()
 
-    def hammer() -> None:
+    def send_requests() -> None:
         connection = http.client.HTTPConnection("127.0.0.1", running.port, timeout=PATIENCE_S)
         while not stop.is_set():
             connection.request("POST", "/v1/predict", BODY, JSON)
@@ -122,7 +122,7 @@ def test_new_versions_are_served_without_a_restart_or_a_lost_request(running: Ru
             versions.add(answer["model"]["version"])
         connection.close()
 
-    clients = [threading.Thread(target=hammer) for _ in range(4)]
+    clients = [threading.Thread(target=send_requests) for _ in range(4)]
     for client in clients:
         client.start()
     for _ in range(3):
@@ -136,8 +136,8 @@ def test_new_versions_are_served_without_a_restart_or_a_lost_request(running: Ru
     assert version == running.registry.versions("push-indicator")[-1]
 
 
-def test_a_broken_newcomer_leaves_the_old_version_serving(running: Running, tmp_path: Path) -> None:
-    """The alias moved to a version that does not verify: the old one answers, and readiness names the file."""
+def test_a_broken_version_is_not_served(running: Running, tmp_path: Path) -> None:
+    """If an alias moves to a broken version, the previous version answers, and /readyz names the broken file."""
     before, elsewhere = running.served_version(), Registry(tmp_path / "elsewhere")
     shutil.copytree(running.registry.root, elsewhere.root)
     version = publish_again(elsewhere)
@@ -152,8 +152,8 @@ def test_a_broken_newcomer_leaves_the_old_version_serving(running: Running, tmp_
     assert running.served_version() == before
 
 
-def test_sigterm_finishes_the_request_that_is_running(running: Running) -> None:
-    """Half a request is on its way when the signal comes: it is answered whole, then the process ends with 0."""
+def test_a_request_that_is_half_sent_at_sigterm_is_answered(running: Running) -> None:
+    """A request of which half is sent when SIGTERM comes is answered. Then the process ends with exit status 0."""
     with socket.create_connection(("127.0.0.1", running.port), timeout=PATIENCE_S) as connection:
         lines = (
             "POST /v1/predict HTTP/1.1",
@@ -162,7 +162,7 @@ def test_sigterm_finishes_the_request_that_is_running(running: Running) -> None:
             f"Content-Length: {len(BODY)}",
         )
         connection.sendall("\r\n".join(lines).encode() + b"\r\n\r\n" + BODY[:10])
-        running.ask("GET", "/livez")  # what was sent before has been read
+        running.ask("GET", "/livez")  # by its answer the earlier bytes have been read
         running.process.send_signal(signal.SIGTERM)
         wait_until(lambda: not accepts(running.port))
         connection.sendall(BODY[10:])
@@ -175,7 +175,7 @@ def test_sigterm_finishes_the_request_that_is_running(running: Running) -> None:
 
 
 def accepts(port: int) -> bool:
-    """Whether anybody listens."""
+    """Return whether a port accepts connections."""
     try:
         socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
     except OSError:
@@ -183,14 +183,13 @@ def accepts(port: int) -> bool:
     return True
 
 
-def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refused(
-    project_root: Path, tmp_path: Path
-) -> None:
-    """Two instances over one registry are ended in turn while four clients ask: every request taken is answered.
+def test_two_instances_that_restart_in_turn_lose_no_accepted_request(project_root: Path, tmp_path: Path) -> None:
+    """Two instances over one registry restart in turn under load from four clients. Every accepted request is answered.
 
-    Clients keep their connections as long as the service lets them, and go elsewhere when one is refused, or reset
-    before its first answer: it was still in the queue of a door that closed. A request on a connection that has
-    answered is never sent again. benchmarks/drain.py does the same with nginx and wrk, and counts the resets.
+    Clients keep their connections for as long as the service does. They connect to the other instance when a
+    connection is refused, or reset before its first answer, because then it was still in the queue of a closed socket.
+    A request on a connection that has answered is never sent again. benchmarks/drain.py measures the same with nginx
+    and wrk, and counts the resets.
     """
     shutil.copytree(project_root / "models", tmp_path / "models")
     ports = [free_port(), free_port()]
@@ -209,7 +208,7 @@ def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refu
 
     stop, failures, answered = threading.Event(), list[object](), [0]
 
-    def hammer() -> None:
+    def send_requests() -> None:
         connection, has_answered = None, False
         while not stop.is_set():
             try:
@@ -228,14 +227,14 @@ def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refu
             if response.status != 200:
                 failures.append(body)
             answered[0] += 1
-            if connection.sock is None:  # the service asked to leave
+            if connection.sock is None:  # the service closed the connection
                 connection = None
         if connection is not None:
             connection.close()
 
     for port in ports:
         start(port)
-    clients = [threading.Thread(target=hammer) for _ in range(4)]
+    clients = [threading.Thread(target=send_requests) for _ in range(4)]
     try:
         for client in clients:
             client.start()
@@ -256,7 +255,7 @@ def test_ends_under_load_lose_nothing_behind_clients_that_go_elsewhere_when_refu
 
 
 def connected(ports: list[int]) -> http.client.HTTPConnection:
-    """A connection to whoever takes it."""
+    """Connect to the first instance that accepts."""
     while True:
         for port in ports:
             connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
@@ -268,8 +267,8 @@ def connected(ports: list[int]) -> http.client.HTTPConnection:
             return connection
 
 
-def test_metrics_have_a_port_of_their_own_when_asked(project_root: Path, tmp_path: Path) -> None:
-    """What Prometheus reads there, and nothing of the service."""
+def test_metrics_can_have_a_port_of_their_own(project_root: Path, tmp_path: Path) -> None:
+    """With CAZSL_METRICS_PORT, Prometheus reads the metrics on a port of their own."""
     port, metrics_port = free_port(), free_port()
     environment = {"CAZSL_PORT": str(port), "CAZSL_METRICS_PORT": str(metrics_port), "CAZSL_LOG_LEVEL": "WARNING"}
     process = subprocess.Popen(
