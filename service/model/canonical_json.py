@@ -1,8 +1,8 @@
-"""The canonical text of a document: what ``json.dumps`` writes with sorted keys, two-space indent and no NaN, in UTF-8.
+"""Canonical JSON: the text of ``json.dumps`` with sorted keys, an indent of two spaces and no NaN, in UTF-8.
 
-The standard library writes indents in Python, a piece at a time, and wants dataclasses copied first: that takes four
-times as long, while requests wait for Python too. Others write numbers differently (1e-5, not 1e-05), and a text that
-is vouched for by its digest must never change by a byte: the tests compare with the standard library.
+Digests are made of this text, so it must never change by a byte. The tests compare it with that of the standard
+library, which takes four times as long: it writes indents in Python, piece by piece, and copies dataclasses first.
+Other libraries write numbers differently (1e-5, not 1e-05).
 """
 
 import math
@@ -13,17 +13,17 @@ from json.encoder import encode_basestring
 
 
 def canonical(document: object) -> bytes:
-    """The text of a document of dataclasses, mappings, sequences, texts, numbers, truths and None.
+    """Return the text of a document of dataclasses, mappings, sequences, texts, numbers, booleans and None.
 
     Raises:
-        ValueError: a number is not finite, or a text is no Unicode.
-        TypeError: something else is in it.
+        ValueError: a number is not finite, or a text is not valid Unicode.
+        TypeError: the document holds a value of another type.
     """
     return (_text(document, "\n") + "\n").encode()
 
 
 def _text(value: object, margin: str) -> str:
-    """One value; what is inside it stands on lines of its own, two spaces beyond the margin."""
+    """Return the text of one value. Its parts stand on lines of their own, two spaces beyond the margin."""
     if isinstance(value, float):
         return _number(value)
     if isinstance(value, str):

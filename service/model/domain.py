@@ -1,4 +1,4 @@
-"""The seam between a registry and the physics of its models."""
+"""Protocol of a physical domain: the seam between a registry and the physics of its models."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from service.model.tensors import ContextKind, Tensor
 
 @dataclass(frozen=True)
 class Verdict:
-    """The verdict of one gate: its figure, the limit of the figure, and the meaning of both."""
+    """Verdict of one gate: its figure, the limit of the figure, and the meaning of both."""
 
     gate: str
     passed: bool
@@ -22,8 +22,8 @@ class Verdict:
 class Domain(Protocol):
     """A physical domain, such as planar pushing, as far as a registry must know it.
 
-    A registry is handed one and asks it for the tensors that a version must declare, and for the laws of physics that a
-    version must obey before an alias may name it.
+    A registry is given a domain. It asks the domain for the tensors that a version must declare, and for the gates that
+    a version must pass before an alias may name it.
     """
 
     def inputs(self, kind: ContextKind) -> tuple[Tensor, ...]:

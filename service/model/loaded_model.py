@@ -1,4 +1,4 @@
-"""One model version in memory."""
+"""Record of one model version in memory."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from service.model.predictor import Predictor
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A version that passed every check: its manifest, its card and its predictor."""
+    """A model version that passed every check: its manifest, its card and its predictor."""
 
     manifest: Manifest
     card: str

@@ -1,10 +1,10 @@
-"""What a graph may hold, checked before onnxruntime sees it: nothing outside the file, nothing huge, no loops.
+"""Checks of an ONNX graph before onnxruntime loads it: no data outside the file, no huge tensors, no loops.
 
-onnxruntime opens files that a tensor names, also when the model comes as bytes, and evaluates constants while it loads.
-So a model is first parsed with the ONNX library and walked as a tree of messages: a tensor is found wherever it hangs
-(initialisers, sparse ones, attributes, sub-graphs, functions, whatever a later format adds), and what is not on a list
-is refused. Shapes are then inferred, without evaluating anything, and bounded. Training and serving both come through
-here, so that no model is trained that cannot be served.
+onnxruntime opens files that a tensor names, even when the model comes as bytes, and evaluates constants while it loads.
+So a model is first parsed with the ONNX library and walked as a tree of messages. The walk finds a tensor in any field
+(initialisers, sparse ones, attributes, sub-graphs, functions, fields that a later format adds). Operators and types
+that are not listed here are refused. Shapes are then inferred without evaluating the graph, and bounded. Training and
+serving both call ``inspect_graph``, so every published model can be served.
 """
 
 import math
@@ -18,9 +18,9 @@ from onnx import TensorProto, TypeProto, ValueInfoProto
 
 from service.errors import BrokenModelError
 
-# Arithmetic on tensors whose shapes follow from their inputs' shapes. Left out on purpose: control flow and sub-graphs,
-# random numbers, strings, sequences, image decoding, and what makes a size out of a value (ConstantOfShape, Tile,
-# Range, Pad, Resize, OneHot), except Expand, whose target must be known before anything runs.
+# Arithmetic on tensors whose shapes follow from the shapes of their inputs. Left out on purpose: control flow,
+# sub-graphs, random numbers, strings, sequences, image decoding, and operators that turn a value into a size
+# (ConstantOfShape, Tile, Range, Pad, Resize, OneHot). Expand is listed, but its target must be known before it runs.
 OPERATORS: Final = frozenset(
     """
     Abs Add And AveragePool BatchNormalization Cast Ceil Clip Concat Constant Conv Cos Div Dropout Elu Equal Erf Exp
@@ -39,16 +39,16 @@ ITEM_BYTES: Final[Mapping[int, int]] = {
     TensorProto.UINT8: 1,
 }
 MAX_NODES: Final = 10_000
-MAX_CONSTANT_ELEMENTS: Final = 1 << 22  # of one tensor that the file holds
-MAX_ELEMENTS_PER_PUSH: Final = 1 << 20  # of one tensor on the way, for one push of one object
+MAX_CONSTANT_ELEMENTS: Final = 1 << 22  # of one tensor in the file
+MAX_ELEMENTS_PER_ROW: Final = 1 << 20  # of one intermediate tensor, for one row and one context
 MAX_FREE_DIMENSIONS: Final = 1  # n or g, never both in one tensor
 
 
 def inspect_graph(model: bytes) -> None:
-    """Accept a graph, or say where it breaks which rule.
+    """Check a graph against every rule of this module.
 
     Raises:
-        BrokenModelError: it is no ONNX model, or holds what no model may hold.
+        BrokenModelError: the bytes are not an ONNX model, or the graph breaks a rule. The message names the place.
     """
     try:
         parsed = onnx.ModelProto.FromString(model)
@@ -57,24 +57,24 @@ def inspect_graph(model: bytes) -> None:
     for where, message in _walk(parsed, "model"):
         if isinstance(message, TensorProto):
             _check_tensor(where, message)
-            _forget_numbers(message)
+            _clear_values(message)
         elif isinstance(message, onnx.NodeProto):
             _check_operator(where, message)
     _check_parts(parsed)
     _check_shapes(parsed)
 
 
-def _refuse(where: str, what: str) -> BrokenModelError:
-    return BrokenModelError(f"model.onnx: {where[:200]}: {what}")
+def _broken(where: str, reason: str) -> BrokenModelError:
+    return BrokenModelError(f"model.onnx: {where[:200]}: {reason}")
 
 
 def _walk(message: Message, where: str) -> Iterator[tuple[str, Message]]:
-    """Every message below a message, whatever field it hangs on; a field that ONNX does not know is refused."""
+    """Yield a message and every message below it, in any field. A field that ONNX does not know is refused."""
     pending = [(where, message)]
     while pending:
         where, message = pending.pop()
         if len(UnknownFieldSet(message)):
-            raise _refuse(where, "a field that ONNX does not know")
+            raise _broken(where, "a field that ONNX does not know")
         yield where, message
         if isinstance(message, ValueInfoProto):
             _check_value(where, message)
@@ -86,33 +86,33 @@ def _walk(message: Message, where: str) -> Iterator[tuple[str, Message]]:
 
 
 def _check_value(where: str, value: ValueInfoProto) -> None:
-    """What a file says of a tensor's type: three of four messages of a graph, so that it is not walked but compared."""
+    """Check the declared type of a tensor. Three of four messages of a graph are such, so its size is compared."""
     if value.type.WhichOneof("value") not in ("tensor_type", None):
-        raise _refuse(where, "not a tensor")
+        raise _broken(where, "not a tensor")
     size = value.ByteSize()
     value.DiscardUnknownFields()
     if value.ByteSize() != size:
-        raise _refuse(where, "a field that ONNX does not know")
+        raise _broken(where, "a field that ONNX does not know")
 
 
 def _check_tensor(where: str, tensor: TensorProto) -> None:
     if tensor.data_location != TensorProto.DEFAULT or tensor.external_data:
-        raise _refuse(where, "external data: a model is one file")
+        raise _broken(where, "external data: a model is one file")
     if tensor.data_type not in ITEM_BYTES:
-        raise _refuse(where, f"data type {tensor.data_type} is not taken")
+        raise _broken(where, f"data type {tensor.data_type} is not accepted")
     if any(size < 0 for size in tensor.dims):
-        raise _refuse(where, "a negative size")
+        raise _broken(where, "a negative size")
     elements = math.prod(tensor.dims)
     if elements > MAX_CONSTANT_ELEMENTS:
-        raise _refuse(where, f"declares {elements:.3g} elements, more than {MAX_CONSTANT_ELEMENTS}")
+        raise _broken(where, f"declares {elements:.3g} elements, more than {MAX_CONSTANT_ELEMENTS}")
     fields = (tensor.float_data, tensor.double_data, tensor.int32_data, tensor.int64_data, tensor.uint64_data)
     held = sum(map(len, fields)) + len(tensor.raw_data) / ITEM_BYTES[tensor.data_type]
     if held != elements:
-        raise _refuse(where, f"declares {elements} elements and holds {held:g}")
+        raise _broken(where, f"declares {elements} elements and holds {held:g}")
 
 
-def _forget_numbers(tensor: TensorProto) -> None:
-    """No size is made of numbers with a fraction, and copying them at every step takes longest of all."""
+def _clear_values(tensor: TensorProto) -> None:
+    """Drop the values of a tensor of fractions: no size depends on them, and shape inference would copy them."""
     if tensor.data_type in (TensorProto.FLOAT, TensorProto.DOUBLE):
         for field in ("raw_data", "float_data", "double_data"):
             tensor.ClearField(field)
@@ -121,16 +121,16 @@ def _forget_numbers(tensor: TensorProto) -> None:
 def _check_operator(where: str, node: onnx.NodeProto) -> None:
     if node.domain not in ("", "ai.onnx") or node.op_type not in OPERATORS:
         name = f"{node.domain[:40]}:{node.op_type[:40]}" if node.domain else node.op_type[:40]
-        raise _refuse(where, f"operator {name} is not on the list")
+        raise _broken(where, f"operator {name} is not in the list of accepted operators")
 
 
 def _check_parts(model: onnx.ModelProto) -> None:
-    """No part that a network of ours has no use for."""
+    """Refuse parts of a model that a network of this project does not need."""
     nodes = model.graph.node
     attributes = [attribute for node in nodes for attribute in node.attribute]
     sub_graphs = any(attribute.HasField("g") or attribute.graphs for attribute in attributes)
     sparse = any(attribute.HasField("sparse_tensor") or attribute.sparse_tensors for attribute in attributes)
-    for present, what in (
+    for present, parts in (
         (model.functions, "functions"),
         (model.training_info, "training information"),
         (model.graph.sparse_initializer or sparse, "sparse tensors"),
@@ -139,16 +139,16 @@ def _check_parts(model: onnx.ModelProto) -> None:
         (any(opset.domain not in ("", "ai.onnx") for opset in model.opset_import), "operators of another domain"),
     ):
         if present:
-            raise _refuse("model", f"{what} are not taken")
+            raise _broken("model", f"{parts} are not accepted")
 
 
 def _check_shapes(model: onnx.ModelProto) -> None:
-    """Every tensor on the way has a shape that can be told before anything runs, and is not huge."""
-    del model.graph.value_info[:]  # what the file says of itself does not count
+    """Check that every intermediate tensor has a bounded shape that is known before the graph runs."""
+    del model.graph.value_info[:]  # shapes that the file declares are not trusted
     try:
         inferred = onnx.shape_inference.infer_shapes(model, strict_mode=True, data_prop=True)
-    except Exception as error:  # the library's own errors, and those of its C++ side, share no root below this
-        raise _refuse("model.graph", "its shapes do not fit together") from error
+    except Exception as error:  # the errors of the library and of its C++ part share no other base class
+        raise _broken("model.graph", "its shapes do not fit together") from error
     shapes = {value.name: value.type for value in inferred.graph.value_info}
     shapes |= {value.name: value.type for value in (*inferred.graph.input, *inferred.graph.output)}
     for place, node in enumerate(inferred.graph.node):
@@ -160,13 +160,13 @@ def _check_shapes(model: onnx.ModelProto) -> None:
 
 def _check_shape(where: str, operator: str, kind: TypeProto | None) -> None:
     if kind is None or not kind.tensor_type.HasField("shape"):
-        raise _refuse(where, "no shape can be told before it runs")
+        raise _broken(where, "its shape is unknown before it runs")
     dimensions = kind.tensor_type.shape.dim
     free = [dimension for dimension in dimensions if not dimension.HasField("dim_value")]
     if len(free) > MAX_FREE_DIMENSIONS:
-        raise _refuse(where, f"{len(free)} free sizes in one tensor, more than {MAX_FREE_DIMENSIONS}")
+        raise _broken(where, f"{len(free)} free sizes in one tensor, more than {MAX_FREE_DIMENSIONS}")
     if operator == "Expand" and any(not part.dim_param or part.dim_param.startswith("unk__") for part in free):
-        raise _refuse(where, "expands to a size that cannot be told before it runs")
+        raise _broken(where, "expands to a size that is unknown before it runs")
     elements = math.prod(dimension.dim_value for dimension in dimensions if dimension.HasField("dim_value"))
-    if elements > MAX_ELEMENTS_PER_PUSH:
-        raise _refuse(where, f"{elements:.3g} elements per push, more than {MAX_ELEMENTS_PER_PUSH}")
+    if elements > MAX_ELEMENTS_PER_ROW:
+        raise _broken(where, f"{elements:.3g} elements per row, more than {MAX_ELEMENTS_PER_ROW}")

@@ -1,4 +1,4 @@
-"""The seam around onnxruntime: arrays in, arrays out. The only module that imports onnxruntime."""
+"""Predictor: the seam around onnxruntime, arrays in, arrays out. No other module imports onnxruntime."""
 
 import math
 import os
@@ -15,15 +15,15 @@ from service.errors import BrokenModelError, PredictionError
 from service.model.onnx_graph import inspect_graph
 from service.model.tensors import FloatArray, IndexArray, Tensor
 
-# onnxruntime computes sines of four numbers at once and the remainder of a tensor with other instructions, which round
-# differently. With no remainder, a row gets the same bits whatever stands beside it.
+# onnxruntime computes the sines of four numbers at once, and those of the remainder with other instructions, which
+# round differently. Rows are padded to a multiple of four, so a row gets the same bits beside any other rows.
 ROWS_AT_ONCE: Final = 4
 _FIRST_CONTEXT: Final = np.zeros(ROWS_AT_ONCE, dtype=np.int64)
 _TYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 
 
 class Predictor(Protocol):
-    """A loaded model. Units are those that the manifest declares.
+    """A predictor of one model version. Units are those that the manifest declares.
 
     The prediction of a row depends on that row and its context alone, to the bit.
     """
@@ -49,7 +49,7 @@ PredictorFactory = Callable[[bytes, Sequence[Tensor], Sequence[Tensor]], Predict
 
 
 class OnnxPredictor:
-    """A graph in onnxruntime, on one thread: the networks are small, and requests run in parallel."""
+    """A predictor that runs a graph in onnxruntime, on one thread: networks are small, and requests run in parallel."""
 
     def __init__(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> None:
         """Create a session from verified bytes.
@@ -61,7 +61,7 @@ class OnnxPredictor:
             outputs: the outputs that it must have, in order: mean and std.
 
         Raises:
-            BrokenModelError: the graph holds what a graph may not, onnxruntime refuses it, or its tensors differ.
+            BrokenModelError: ``inspect_graph`` or onnxruntime refuses the graph, or its tensors differ.
         """
         inspect_graph(model)
         options = onnxruntime.SessionOptions()
@@ -71,7 +71,7 @@ class OnnxPredictor:
         options.log_severity_level = 3
         try:
             self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's own errors share no root below this
+        except Exception as error:  # errors of onnxruntime share no other base class
             raise BrokenModelError("model.onnx: onnxruntime refuses the graph") from error
         # The session keeps the file in memory to fall back to another device. There is no other device here.
         self._session.disable_fallback()
@@ -105,7 +105,7 @@ class OnnxPredictor:
 
 
 def _is_gaussian(mean: FloatArray, std: FloatArray) -> bool:
-    """Return whether all values are finite and every std positive; one row is checked without numpy's overhead."""
+    """Return whether all values are finite and every std positive. One row is checked without numpy's overhead."""
     if len(mean) == 1:
         means, stds = mean[0].tolist(), std[0].tolist()
         return all(map(math.isfinite, means)) and all(map(math.isfinite, stds)) and min(stds) > 0.0
@@ -121,4 +121,4 @@ def _check_tensors(which: str, found: list[onnxruntime.NodeArg], expected: Seque
     ]
     if given != wanted:
         names = ", ".join(f"{tensor.name} {tensor.dtype} {list(tensor.shape)}" for tensor in expected)
-        raise BrokenModelError(f"model.onnx: the {which} are not those of the contract: {names}")
+        raise BrokenModelError(f"model.onnx: the {which} are not the expected ones: {names}")

@@ -1,4 +1,4 @@
-"""The grammar of names: models, aliases, versions, and references to them. No other module has one of its own."""
+"""Grammar of names: models, aliases, versions, and references to them. No other module has a grammar of its own."""
 
 import re
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ def is_alias(text: str) -> bool:
 
 
 def parse_version(text: str) -> int | None:
-    """Return a positive integer without leading zeros, or None."""
+    """Return the version that a text denotes: a positive integer without leading zeros. None for any other text."""
     return int(text) if _VERSION.fullmatch(text) else None
 
 
@@ -43,7 +43,7 @@ class ModelReference:
         """Parse a reference.
 
         Raises:
-            InvalidRequestError: it is not one. The message does not repeat the text.
+            InvalidRequestError: the text is not a reference. The message does not repeat it.
         """
         name, at, rest = text.partition("@")
         version = parse_version(rest)

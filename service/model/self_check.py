@@ -1,4 +1,4 @@
-"""The self-check of a version: a stored input and the output that belongs to it."""
+"""Self-check of a version: a stored input, and the stored output that the predictor must give for it."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from service.model.predictor import Predictor
 
 
 def check_itself(manifest: Manifest, predictor: Predictor) -> None:
-    """Run the stored input and compare with the stored output.
+    """Predict the stored input and compare the result with the stored output.
 
     Raises:
         BrokenModelError: the output differs by more than the stored tolerance, or the input cannot be run.

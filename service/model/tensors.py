@@ -1,4 +1,4 @@
-"""Arrays and tensors of a model, and the kinds of object context that a model may take."""
+"""Tensors of a graph, the array types that hold them, and the kinds of object context."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -6,24 +6,23 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
-
-@dataclass(frozen=True)
-class Tensor:
-    """One input or output of the graph; a text in the shape is a free dimension."""
-
-    name: str
-    dtype: str
-    shape: tuple[int | str, ...]
-    units: tuple[str, ...]
-
-
 FloatArray = npt.NDArray[np.float32]
 IndexArray = npt.NDArray[np.int64]
 
 
 class ContextKind(StrEnum):
-    """What a model wants to know about the object."""
+    """Kind of object context that a model takes."""
 
     NONE = "none"
     INDICATOR = "indicator"
     VISUAL = "visual"
+
+
+@dataclass(frozen=True)
+class Tensor:
+    """One input or output of a graph. A text in the shape is a free dimension."""
+
+    name: str
+    dtype: str
+    shape: tuple[int | str, ...]
+    units: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""The canonical text, beside what the standard library writes."""
+"""Canonical JSON, compared with the text of the standard library."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -20,7 +20,7 @@ DOCUMENTS = st.recursive(
 
 @dataclass(frozen=True)
 class Part:
-    """Something in a record, its fields out of order."""
+    """A part of a record, its fields out of order."""
 
     name: str
     amounts: list[float]
@@ -35,35 +35,35 @@ class Whole:
     last: Part
 
 
-def written_by_the_library(document: object) -> bytes:
-    """The text that was published until now, and stays."""
+def by_the_standard_library(document: object) -> bytes:
+    """Return the text of ``json.dumps``, which every published digest was made of."""
     text = json.dumps(document, indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     return f"{text}\n".encode()
 
 
 @given(DOCUMENTS)
-def test_the_text_is_what_the_standard_library_writes(document: Any) -> None:
-    """To the byte: empty lists, nested ones, large and small numbers, texts with line ends."""
-    assert canonical(document) == written_by_the_library(document)
+def test_the_text_is_that_of_the_standard_library(document: Any) -> None:
+    """Every document is written as ``json.dumps`` writes it, to the byte, with any nesting, number or text."""
+    assert canonical(document) == by_the_standard_library(document)
 
 
 def test_a_record_is_written_as_its_fields_sorted() -> None:
-    """Wherever it stands."""
+    """A dataclass is written as an object with sorted fields, in tuples, mappings and other dataclasses too."""
     part = Part("b", [1e-05, 1e16, -0.0])
     whole = Whole((part, Part("", [])), {"z": part, "a": part}, part)
-    assert canonical(whole) == written_by_the_library(asdict(whole))
+    assert canonical(whole) == by_the_standard_library(asdict(whole))
 
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), -float("inf")])
 @pytest.mark.parametrize("others", [[], [1.0], ["text"]], ids=["alone", "in a row", "beside a text"])
-def test_what_is_no_number_has_no_text(number: float, others: list[object]) -> None:
-    """JSON has no word for it."""
+def test_a_number_that_is_not_finite_is_refused(number: float, others: list[object]) -> None:
+    """NaN and infinity are refused, because JSON cannot express them."""
     with pytest.raises(ValueError, match="not a JSON number"):
         canonical([*others, number])
 
 
 @pytest.mark.parametrize("document", [{1, 2}, b"bytes", Part], ids=["set", "bytes", "class"])
-def test_what_json_cannot_say_is_refused(document: object) -> None:
-    """By its type."""
+def test_a_value_without_a_json_type_is_refused(document: object) -> None:
+    """Sets, bytes and classes are refused, and the error names the type."""
     with pytest.raises(TypeError, match="has no canonical text"):
         canonical(document)

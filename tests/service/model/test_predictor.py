@@ -1,4 +1,4 @@
-"""The seam around onnxruntime, on the model that ships."""
+"""Predictor on onnxruntime, with the models that ship."""
 
 import os
 import subprocess
@@ -21,19 +21,19 @@ NONE, INDICATOR = ((expected_inputs(kind), OUTPUTS) for kind in (ContextKind.NON
 
 @pytest.fixture(scope="module")
 def shipped(project_root: Path) -> bytes:
-    """The graph of the champion."""
+    """Return the graph of the champion."""
     registry = Registry(project_root / "models")
     return registry.read("push-indicator", registry.resolve(ModelReference.parse("push-indicator"))).model
 
 
 @pytest.fixture(scope="module")
 def predictor(shipped: bytes) -> Predictor:
-    """The champion, loaded."""
+    """Return the predictor of the champion."""
     return OnnxPredictor(shipped, *INDICATOR)
 
 
 def pushes(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Random pushes of three objects."""
+    """Return random pushes of three objects: pusher poses, indicators and indices."""
     rng = np.random.default_rng(0)
     pusher = rng.uniform(-0.08, 0.08, (count, 3)).astype(np.float32)
     context = np.stack(
@@ -43,15 +43,15 @@ def pushes(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) -> None:
-    """One row out per row in, float32, in SI units."""
+    """A prediction has a mean and a positive std, in float32, for every push."""
     mean, std = predictor.predict(*pushes(7))
     assert mean.shape == std.shape == (7, 3)
     assert mean.dtype == std.dtype == np.float32
     assert (std > 0).all()
 
 
-def test_the_runtime_tells_nobody_what_it_runs(project_root: Path, tmp_path: Path) -> None:
-    """Its telemetry, on by default, begins with a name for this device and a queue in the user's folders."""
+def test_onnxruntime_sends_no_telemetry(project_root: Path, tmp_path: Path) -> None:
+    """A predictor writes no file: telemetry of onnxruntime would create a device name and a queue in the home."""
     code = (
         "import sys; from service.pushing.onnx_interface import OUTPUTS, expected_inputs;"
         "from service.model.predictor import OnnxPredictor; from service.model.tensors import ContextKind;"
@@ -71,7 +71,7 @@ def test_the_runtime_tells_nobody_what_it_runs(project_root: Path, tmp_path: Pat
 
 
 def contexts(kind: ContextKind, count: int) -> np.ndarray | None:
-    """Random contexts of a kind."""
+    """Return random contexts of a kind."""
     rng = np.random.default_rng(1)
     if kind is ContextKind.NONE:
         return None
@@ -84,7 +84,7 @@ def contexts(kind: ContextKind, count: int) -> np.ndarray | None:
 
 @pytest.mark.parametrize("kind", list(ContextKind))
 def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: ContextKind) -> None:
-    """Alone, in a crowd, first or last: the same bits, of every model that ships."""
+    """A row gets the same bits in a batch of any size and at any place, for every model that ships."""
     registry, name = Registry(project_root / "models"), f"push-{kind}"
     predictor = OnnxPredictor(registry.read(name, registry.versions(name)[-1]).model, expected_inputs(kind), OUTPUTS)
     rng, tensor = np.random.default_rng(2), contexts(kind, 30)
@@ -102,19 +102,19 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: C
 
 @pytest.mark.parametrize("model", [b"", b"not a model", b"\x08\x0a" * 50], ids=["empty", "text", "noise"])
 def test_bytes_that_are_no_graph_are_a_broken_model(model: bytes) -> None:
-    """The runtime's own errors do not leave this module."""
+    """Bytes that are not an ONNX graph raise an error of the tree, never one of onnxruntime."""
     with pytest.raises(BrokenModelError, match=r"model\.onnx: (not an ONNX model|onnxruntime refuses)"):
         OnnxPredictor(model, *INDICATOR)
 
 
 def test_a_graph_with_other_tensors_is_a_broken_model(shipped: bytes) -> None:
-    """A graph that wants a context is none for models without."""
-    with pytest.raises(BrokenModelError, match="not those of the contract"):
+    """A graph that takes a context is refused where a graph without context is expected."""
+    with pytest.raises(BrokenModelError, match="the inputs are not the expected ones: pusher float32"):
         OnnxPredictor(shipped, *NONE)
 
 
 def test_a_loaded_model_does_not_keep_its_file(project_root: Path) -> None:
-    """A worker would hold every byte twice."""
+    """A predictor drops the bytes of its file, which would otherwise stay in memory beside the session."""
     model = Registry(project_root / "models").read("push-indicator", 1).model
     before = sys.getrefcount(model)
     predictor = OnnxPredictor(model, *INDICATOR)
@@ -123,14 +123,14 @@ def test_a_loaded_model_does_not_keep_its_file(project_root: Path) -> None:
 
 
 def test_an_index_beyond_the_contexts_is_a_prediction_error(predictor: Predictor) -> None:
-    """The runtime's refusal is translated."""
+    """An index that onnxruntime refuses raises a prediction error of the tree."""
     pusher, context, index = pushes(2)
     with pytest.raises(PredictionError, match="could not evaluate"):
         predictor.predict(pusher, context, index + 3)
 
 
-def test_an_answer_that_is_no_gaussian_never_leaves(predictor: Predictor) -> None:
-    """A mean that overflows is an error, not an answer."""
+def test_an_output_that_is_no_gaussian_is_a_prediction_error(predictor: Predictor) -> None:
+    """A mean that overflows raises a prediction error, and is never returned."""
     pusher, context, index = pushes(1)
     with pytest.raises(PredictionError, match="not finite"):
         predictor.predict(np.full_like(pusher, np.float32(3e38)), context, index)

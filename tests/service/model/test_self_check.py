@@ -1,4 +1,4 @@
-"""The proof that a model is what was published, and still answers."""
+"""Self-check: a loaded version must still predict its stored output."""
 
 from dataclasses import replace
 
@@ -11,19 +11,19 @@ from tests.fakes import LYING, FakePredictor, draft_manifest
 
 
 @pytest.mark.parametrize("kind", list(ContextKind))
-def test_a_model_that_answers_as_it_did_passes(kind: ContextKind) -> None:
-    """Of every kind: the stored row becomes a view for those that see."""
+def test_a_model_that_predicts_its_stored_output_passes(kind: ContextKind) -> None:
+    """A model of every kind passes with the output that was stored. A visual context is stored as one row."""
     check_itself(draft_manifest("push", kind), FakePredictor(b"", kind is not ContextKind.NONE))
 
 
-def test_a_model_that_answers_otherwise_does_not() -> None:
-    """By more than the tolerance that was stored."""
+def test_a_model_that_differs_by_more_than_the_tolerance_is_broken() -> None:
+    """A model whose output differs by more than the stored tolerance is broken."""
     with pytest.raises(BrokenModelError, match=r"differs by more than 0\.0001"):
         check_itself(draft_manifest(), FakePredictor(LYING, takes_context=True))
 
 
 def test_a_stored_input_that_cannot_be_run_is_a_broken_model() -> None:
-    """Rows of different lengths, as hands would leave them."""
+    """A stored input with rows of different lengths makes the version broken."""
     manifest = draft_manifest()
     ragged = replace(manifest.self_check, pusher=[[0.0], [0.0, 1.0]])
     with pytest.raises(BrokenModelError, match="cannot be run"):
