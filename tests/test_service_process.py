@@ -106,7 +106,7 @@ def test_the_request_of_the_readme_is_answered(running: Running) -> None:
 
 
 def test_new_versions_are_served_without_a_restart_or_a_lost_request(running: Running) -> None:
-    """Four clients send requests while three versions appear. Each answer is a 200, the last from the newest version."""
+    """Four clients send requests while three versions appear. Every answer is a 200, the last from the newest one."""
     stop, failures, versions = threading.Event(), [], set()
     before = running.served_version()
 

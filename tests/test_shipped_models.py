@@ -1,4 +1,4 @@
-"""What ships in models/: verified, better than a model that knows nothing of the object, and physically sane."""
+"""Shipped models: the champion of push-indicator is verified and predicts physically plausible outcomes."""
 
 import math
 from pathlib import Path
@@ -16,7 +16,7 @@ from service.registry.loading import load_version
 from service.registry.registry import Registry
 
 Array = npt.NDArray[np.float64]
-PUSHER_DISTANCE_M = 0.08  # where the benchmark's pushes start
+PUSHER_DISTANCE_M = 0.08  # the start of a push of the benchmark, from the centre of the object
 PUSH_LENGTH_M = 0.05
 BEARINGS_RAD = np.linspace(-math.pi, math.pi, 24, endpoint=False) + 0.05
 # Objects of every shape, with no, one and two weights, from the held-out half of the published division.
@@ -25,29 +25,29 @@ HELD_OUT = ("1a1a3a3a", "1a2a4a3a", "3a3a3a4a", "1a4a1a4a", "1a2c4a4a", "2b3a3b4
 
 @pytest.fixture(scope="module")
 def champion(project_root: Path) -> LoadedModel:
-    """push-indicator's champion, having passed every check that the service makes."""
+    """Load the champion of push-indicator with all checks of the service."""
     registry = Registry(project_root / "models")
     version = registry.resolve(ModelReference.parse("push-indicator"))
     return load_version(registry, OnnxPredictor, "push-indicator", version)
 
 
 def towards_the_centre(bearings_rad: Array) -> Array:
-    """Pushes from these bearings straight at the object's centre, (n, 3)."""
+    """Return pushes from these bearings straight at the centre of the object, (n, 3)."""
     angle = bearings_rad + math.pi
     start = PUSHER_DISTANCE_M * np.stack([np.cos(bearings_rad), np.sin(bearings_rad)], axis=1)
     return np.column_stack([start, np.arctan2(np.sin(angle), np.cos(angle))])
 
 
 def means(model: LoadedModel, objects: list[ObjectContext], pushes: Array) -> Array:
-    """Predicted means of every push of every object, (objects, pushes, 3)."""
+    """Predict the means of every push of every object, (objects, pushes, 3)."""
     context = np.stack([thing.indicator() for thing in objects])
     index = np.repeat(np.arange(len(objects)), len(pushes))
     mean, _ = model.predictor.predict(np.tile(pushes, (len(objects), 1)).astype(np.float32), context, index)
     return mean.astype(np.float64).reshape(len(objects), len(pushes), 3)
 
 
-def test_the_first_version_is_the_papers_method_on_named_data(project_root: Path) -> None:
-    """Version 1: FCN + CM + L2Reg, 3000 epochs, 200 x 250 pushes, and its card says that they are simulated."""
+def test_the_first_version_has_the_method_and_data_of_its_card(project_root: Path) -> None:
+    """Version 1 is FCN + CM + L2Reg after 3000 epochs on 200 x 250 pushes, which its card declares as simulated."""
     version = Registry(project_root / "models").read("push-indicator", 1)
     manifest = version.manifest
     assert (manifest.method, manifest.context_kind) == ("FCN + CM + L2Reg", ContextKind.INDICATOR)
@@ -58,10 +58,10 @@ def test_the_first_version_is_the_papers_method_on_named_data(project_root: Path
 
 
 def test_a_push_at_the_object_moves_it_away_from_the_pusher(champion: LoadedModel) -> None:
-    """Every push at the centre, from all around, moves every object forward, and no further than the pusher goes.
+    """A push at the centre, from any bearing, moves every object forward, and less than the pusher moves.
 
-    No tolerance: the pusher travels 50 mm and the simulated objects moved 12 to 44 mm, so that the borders lie further
-    away than the model's own error (RMSE of 2 to 3 mm in position).
+    No tolerance is needed. The pusher moves 50 mm and the simulated objects moved 12 to 44 mm, so both limits are
+    further away than the model's own error (RMSE of 2 to 3 mm in position).
     """
     pushes = towards_the_centre(BEARINGS_RAD)
     mean = means(champion, [ObjectContext.from_descriptor(name) for name in HELD_OUT], pushes)
@@ -71,11 +71,11 @@ def test_a_push_at_the_object_moves_it_away_from_the_pusher(champion: LoadedMode
 
 
 @pytest.mark.parametrize("quarter_turns", [1, 2, 3])
-def test_a_turned_push_of_a_turned_object_gives_the_turned_answer(champion: LoadedModel, quarter_turns: int) -> None:
-    """Turning push and object alike turns the outcome, within the model's own error.
+def test_rotating_push_and_object_rotates_the_outcome(champion: LoadedModel, quarter_turns: int) -> None:
+    """Rotating push and object together rotates the outcome, within the model's own error.
 
-    Nothing in the network knows of this symmetry, so both answers carry an error of their own; the rms difference of
-    two answers with the model's held-out RMSE each is at most sqrt(2) of it, in the same normalised units.
+    The network does not have this symmetry built in, so each of the two predictions has an error of its own. The rms
+    difference of two predictions is at most sqrt(2) times the model's held-out RMSE, in the same normalised units.
     """
     manifest = champion.manifest
     turn = quarter_turns * math.pi / 2.0
@@ -92,7 +92,7 @@ def test_a_turned_push_of_a_turned_object_gives_the_turned_answer(champion: Load
 
 
 def test_every_push_of_a_grid_has_a_positive_finite_std(champion: LoadedModel) -> None:
-    """Anywhere a client may ask, the answer is a Gaussian; the predictor refuses anything else."""
+    """Every push of a grid over the permitted range has a finite mean, a positive std and an angle of at most pi."""
     axis = np.linspace(-1.0, 1.0, 21)
     grid = np.stack(np.meshgrid(axis, axis, np.linspace(-math.pi, math.pi, 17)), axis=-1).reshape(-1, 3)
     context = ObjectContext.from_descriptor("1a2C3b4a").indicator()[None]
