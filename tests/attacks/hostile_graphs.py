@@ -1,4 +1,4 @@
-"""Graphs that no model may be, each with the refusal that it must get. All begin as a small honest graph."""
+"""Hostile ONNX graphs, each with the refusal that it must get. All are changes of one small valid graph."""
 
 from collections.abc import Callable
 
@@ -9,8 +9,8 @@ from onnx import AttributeProto, ModelProto, TensorProto, helper, numpy_helper
 EXTERNAL = "external data: a model is one file"
 
 
-def honest() -> ModelProto:
-    """A graph with the tensors of a model without context: the object moves a tenth of the pusher's way."""
+def valid_graph() -> ModelProto:
+    """Build a valid graph with the tensors of a model without context: mean is 0.1 times the pusher pose."""
     tenth = numpy_helper.from_array(np.array([0.1], dtype=np.float32), "tenth")
     nodes = [helper.make_node("Mul", ["pusher", "tenth"], ["mean"]), helper.make_node("Exp", ["mean"], ["std"])]
     pose = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", 3]) for name in ("pusher", "mean", "std")]
@@ -19,7 +19,7 @@ def honest() -> ModelProto:
 
 
 def external(name: str = "outside", location: str = "/etc/passwd") -> TensorProto:
-    """A tensor whose bytes lie in another file."""
+    """Build a tensor whose bytes are in another file."""
     tensor = TensorProto(name=name, dims=[1], data_type=TensorProto.FLOAT, data_location=TensorProto.EXTERNAL)
     entry = tensor.external_data.add()
     entry.key, entry.value = "location", location
@@ -27,7 +27,7 @@ def external(name: str = "outside", location: str = "/etc/passwd") -> TensorProt
 
 
 def undeclared() -> TensorProto:
-    """Names another file and says that it does not."""
+    """Build a tensor that names another file and declares its data as its own."""
     tensor = external()
     tensor.data_location = TensorProto.DEFAULT
     tensor.raw_data = bytes(4)
@@ -35,21 +35,21 @@ def undeclared() -> TensorProto:
 
 
 def sparse(values: TensorProto) -> onnx.SparseTensorProto:
-    """A sparse tensor around these values."""
+    """Build a sparse tensor of these values."""
     indices = numpy_helper.from_array(np.zeros(1, dtype=np.int64), "indices")
     return onnx.SparseTensorProto(values=values, indices=indices, dims=[1])
 
 
 def with_initializer(tensor: TensorProto) -> ModelProto:
-    """One constant more."""
-    model = honest()
+    """Add a constant to the valid graph."""
+    model = valid_graph()
     model.graph.initializer.append(tensor)
     return model
 
 
 def with_attribute(**values: object) -> ModelProto:
-    """An attribute on the first node."""
-    model = honest()
+    """Add an attribute to the first node of the valid graph."""
+    model = valid_graph()
     attribute = AttributeProto(name="value")
     for field, value in values.items():
         if isinstance(value, list):
@@ -62,7 +62,7 @@ def with_attribute(**values: object) -> ModelProto:
 
 
 def with_graph_attribute(deep: int) -> ModelProto:
-    """A sub-graph in a sub-graph, and external data at the bottom."""
+    """Nest sub-graphs this deep, with external data in the innermost."""
     graph = onnx.GraphProto(name="bottom", initializer=[external()])
     for _ in range(deep - 1):
         node = onnx.NodeProto(op_type="If", attribute=[AttributeProto(name="then_branch", g=graph)])
@@ -71,8 +71,8 @@ def with_graph_attribute(deep: int) -> ModelProto:
 
 
 def with_function(tensor: TensorProto) -> ModelProto:
-    """A function that holds a constant."""
-    model = honest()
+    """Add a function that holds a constant."""
+    model = valid_graph()
     function = model.functions.add()
     function.name, function.domain = "f", "local"
     constant = helper.make_node("Constant", [], ["c"])
@@ -82,8 +82,8 @@ def with_function(tensor: TensorProto) -> ModelProto:
 
 
 def with_nodes(*nodes: onnx.NodeProto, constants: dict[str, np.ndarray] | None = None) -> ModelProto:
-    """Nodes whose outputs nobody needs: onnxruntime evaluates constants all the same."""
-    model = honest()
+    """Add nodes whose outputs are not used. onnxruntime evaluates constants regardless."""
+    model = valid_graph()
     model.graph.node.extend(nodes)
     for name, value in (constants or {}).items():
         model.graph.initializer.append(numpy_helper.from_array(value, name))
@@ -91,67 +91,67 @@ def with_nodes(*nodes: onnx.NodeProto, constants: dict[str, np.ndarray] | None =
 
 
 def in_domain(domain: str) -> ModelProto:
-    """An operator of somebody else's library."""
+    """Add an operator of another domain, as of a third-party library."""
     model = with_nodes(helper.make_node("Mul", ["pusher", "tenth"], ["other"], domain=domain))
     model.opset_import.append(helper.make_opsetid(domain, 1))
     return model
 
 
 def training() -> ModelProto:
-    """Training information, where a whole graph can hide."""
-    model = honest()
+    """Add training information, which can hold a whole graph."""
+    model = valid_graph()
     model.training_info.add().algorithm.CopyFrom(onnx.GraphProto(name="a", initializer=[external()]))
     return model
 
 
 def sparse_initializer(tensor: TensorProto) -> ModelProto:
-    """A sparse constant."""
-    model = honest()
+    """Add a sparse constant."""
+    model = valid_graph()
     model.graph.sparse_initializer.append(sparse(tensor))
     return model
 
 
 def unknown_field() -> ModelProto:
-    """A field that no version of ONNX has; a later reader might take it for a file name."""
+    """Add a field that no version of ONNX has. A later reader might take it for a file name."""
     model = ModelProto()
-    model.ParseFromString(honest().SerializeToString() + b"\xfa\x3f\x04evil")
+    model.ParseFromString(valid_graph().SerializeToString() + b"\xfa\x3f\x04evil")
     return model
 
 
 def with_unknown_field_in_a_type() -> ModelProto:
-    """A field that no version of ONNX has, in the first size of a shape that the file tells."""
-    model = honest()
+    """Add a field that no version of ONNX has to the first dimension of an input."""
+    model = valid_graph()
     model.graph.input[0].type.tensor_type.shape.dim[0].MergeFromString(b"\xfa\x3f\x04evil")
     return model
 
 
 def with_sequence() -> ModelProto:
-    """A value that is a list of tensors."""
-    model = honest()
+    """Add a value that is a list of tensors."""
+    model = valid_graph()
     model.graph.value_info.append(helper.make_tensor_sequence_value_info("list", TensorProto.FLOAT, ["n", 3]))
     return model
 
 
 def declares(*dims: int) -> ModelProto:
-    """A constant that claims more than it holds."""
+    """Add a constant that declares more elements than it holds."""
     return with_initializer(TensorProto(name="big", dims=dims, data_type=TensorProto.FLOAT, raw_data=bytes(4)))
 
 
 def outer_product() -> ModelProto:
-    """Two constants of 4 MB whose product has a million million elements."""
+    """Multiply two constants of 4 MiB into a product of 2**40 elements."""
     long = np.ones((1 << 20, 1), dtype=np.float32)
     return with_nodes(helper.make_node("MatMul", ["a", "b"], ["c"]), constants={"a": long, "b": long.reshape(1, -1)})
 
 
 def expand(to: list[int]) -> ModelProto:
-    """One number, repeated."""
+    """Expand one number to this shape."""
     return with_nodes(
         helper.make_node("Expand", ["tenth", "to"], ["huge"]), constants={"to": np.array(to, dtype=np.int64)}
     )
 
 
 def expand_secretly() -> ModelProto:
-    """One number, repeated as often as arithmetic on numbers says."""
+    """Expand one number to a size that other nodes compute."""
     return with_nodes(
         helper.make_node("Exp", ["power"], ["size"]),
         helper.make_node("Cast", ["size"], ["to"], to=TensorProto.INT64),
@@ -161,7 +161,7 @@ def expand_secretly() -> ModelProto:
 
 
 def reshape_secretly() -> ModelProto:
-    """A column and a row whose sizes nobody tells, added."""
+    """Add a column and a row of 2**20 elements whose sizes are computed."""
     data = np.ones(1 << 20, dtype=np.float32)
     column, row = np.array([-1.0, 1.0], dtype=np.float32), np.array([1.0, -1.0], dtype=np.float32)
     return with_nodes(
@@ -174,12 +174,12 @@ def reshape_secretly() -> ModelProto:
 
 
 def many_nodes() -> ModelProto:
-    """More steps than any network of ours."""
+    """Add more nodes than any network of this project has."""
     return with_nodes(*(helper.make_node("Neg", ["pusher"], [f"out{place}"]) for place in range(10_001)))
 
 
 def loop() -> ModelProto:
-    """A loop of a million million rounds."""
+    """Add a loop of 10**12 iterations."""
     body = helper.make_graph([], "body", [], [])
     return with_nodes(helper.make_node("Loop", ["m", ""], [], body=body), constants={"m": np.array(10**12)})
 

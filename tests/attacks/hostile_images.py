@@ -1,4 +1,4 @@
-"""Picture files that mean harm or are merely broken, made on the spot, each with the status that it must get."""
+"""Hostile and broken image files, built in memory, each with the HTTP status that it must get."""
 
 import io
 import struct
@@ -16,11 +16,11 @@ TOO_LARGE, UNSUPPORTED, INVALID = (
     HTTPStatus.UNPROCESSABLE_ENTITY,
 )
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
-NOISE: Final = np.random.default_rng(0).integers(0, 5, 64 * 65, dtype=np.uint8).tobytes()  # 64 rows; filters are 0 to 4
+NOISE: Final = np.random.default_rng(0).integers(0, 5, 64 * 65, dtype=np.uint8).tobytes()  # 64 rows with filters 0 to 4
 
 
 def picture(file_format: str, side: int = 64, **options: object) -> bytes:
-    """A harmless picture of a bright square on black."""
+    """Create a harmless image of a grey square on black."""
     levels = np.zeros((side, side), dtype=np.uint8)
     levels[side // 4 : 3 * side // 4, side // 4 : 3 * side // 4] = 128
     buffer = io.BytesIO()
@@ -29,7 +29,7 @@ def picture(file_format: str, side: int = 64, **options: object) -> bytes:
 
 
 def animation(file_format: str) -> bytes:
-    """Two frames."""
+    """Create an animation of two frames."""
     frames = [Image.new("RGB", (16, 16), colour) for colour in ("red", "blue")]
     buffer = io.BytesIO()
     frames[0].save(buffer, file_format, save_all=True, append_images=frames[1:], duration=100)
@@ -37,39 +37,39 @@ def animation(file_format: str) -> bytes:
 
 
 def png_chunk(name: bytes, data: bytes) -> bytes:
-    """Length, name, data, checksum."""
+    """Build a PNG chunk: length, name, data, checksum."""
     return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def png(width: int, height: int, *chunks: bytes, depth: int = 8, colour: int = 0) -> bytes:
-    """A PNG of these chunks between header and end."""
+    """Build a PNG with these chunks between header and end."""
     header = png_chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, 0))
     return PNG_START + header + b"".join(chunks) + png_chunk(b"IEND", b"")
 
 
 def png_rows(width: int, height: int) -> bytes:
-    """The chunk of black pixels, one byte each."""
+    """Build the chunk of black pixels, one byte each."""
     return png_chunk(b"IDAT", zlib.compress(bytes((width + 1) * height), 9))
 
 
 def png_bomb() -> bytes:
-    """169 million pixels in 160 KiB."""
+    """Build a PNG of 169 million pixels in 160 KiB."""
     return png(13_000, 13_000, png_rows(13_000, 13_000))
 
 
 def png_with(name: bytes, data: bytes) -> bytes:
-    """A small PNG with one chunk more in front of the pixels."""
+    """Build a small PNG with one more chunk in front of the pixels."""
     return png(64, 64, png_chunk(name, data), png_rows(64, 64))
 
 
 def png_key(depth: int, colour: int) -> bytes:
-    """A PNG that declares a colour transparent."""
+    """Build a PNG that declares one colour as transparent."""
     key = png_chunk(b"tRNS", b"\0\1" * (3 if colour == 2 else 1))
     return png(4, 1, key, png_chunk(b"IDAT", zlib.compress(bytes(1 + 4 * 6))), depth=depth, colour=colour)
 
 
 def exif_bomb() -> bytes:
-    """5,000 tags that all point to the same 60,000 bytes: 300 MB to whoever copies each."""
+    """Build EXIF data of 5,000 tags that point to the same 60,000 bytes: 300 MB for a reader that copies each."""
     entries = 4_990
     block = b"II*\0" + struct.pack("<IH", 8, entries)
     block += b"".join(struct.pack("<HHII", 0x8000 + tag, 7, 59_000, 0) for tag in range(entries))
@@ -77,20 +77,20 @@ def exif_bomb() -> bytes:
 
 
 def jpeg_with(marker: int, data: bytes) -> bytes:
-    """A small JPEG with one segment more behind its start."""
+    """Build a small JPEG with one more segment after its start."""
     content = picture("JPEG")
     return content[:2] + struct.pack(">BBH", 0xFF, marker, len(data) + 2) + data + content[2:]
 
 
 def jpeg_scans() -> bytes:
-    """A JPEG whose scan is repeated a thousand times."""
+    """Build a JPEG whose scan is repeated a thousand times."""
     content = picture("JPEG", progressive=True)
     start = content.rindex(b"\xff\xda")
     return content[:start] + content[start:-2] * 1000 + content[-2:]
 
 
 def jpeg_claiming(width: int, height: int) -> bytes:
-    """A small JPEG whose header claims another size."""
+    """Build a small JPEG whose header declares another size."""
     content = bytearray(picture("JPEG"))
     at = content.index(b"\xff\xc0") + 5
     content[at : at + 4] = struct.pack(">HH", height, width)
@@ -98,7 +98,7 @@ def jpeg_claiming(width: int, height: int) -> bytes:
 
 
 def webp_claiming(width: int, height: int) -> bytes:
-    """A lossless WebP whose header claims another size."""
+    """Build a lossless WebP whose header declares another size."""
     content = bytearray(picture("WEBP", lossless=True))
     at = content.index(b"VP8L") + 9
     content[at : at + 4] = struct.pack("<I", (width - 1) | (height - 1) << 14)
@@ -106,7 +106,7 @@ def webp_claiming(width: int, height: int) -> bytes:
 
 
 def webp_canvas(width: int, height: int) -> bytes:
-    """A WebP whose extended header claims a larger canvas than its picture."""
+    """Build a WebP whose extended header declares a larger canvas than its image."""
     frame = picture("WEBP", lossless=True)[12:]
     sizes = (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
     body = b"WEBP" + struct.pack("<4sI", b"VP8X", 10) + bytes(4) + sizes + frame
@@ -114,7 +114,7 @@ def webp_canvas(width: int, height: int) -> bytes:
 
 
 def webp_riff(length: int) -> bytes:
-    """A WebP whose container claims this length."""
+    """Build a WebP whose container declares this length."""
     content = picture("WEBP")
     return content[:4] + struct.pack("<I", length) + content[8:]
 
@@ -124,7 +124,7 @@ def _half(content: bytes) -> bytes:
 
 
 def _noisy(file_format: str, **options: object) -> bytes:
-    """A picture that does not compress: half its file is half its pixels."""
+    """Create an image that does not compress, so that half its file is half its pixels."""
     levels = np.random.default_rng(0).integers(0, 256, (64, 64), dtype=np.uint8)
     buffer = io.BytesIO()
     Image.fromarray(levels).save(buffer, file_format, **options)
@@ -187,7 +187,7 @@ HOSTILE: Final[dict[str, tuple[Callable[[], bytes], HTTPStatus]]] = {
     "a WebP that claims another size": (lambda: webp_claiming(2048, 2048), INVALID),
 }
 
-# Files that cost dear to whoever reads more of them than the pixels; read with care they are harmless.
+# Files that are expensive for a reader that decodes more than the pixels. The service reads their pixels alone.
 COSTLY_METADATA: Final[dict[str, Callable[[], bytes]]] = {
     "a PNG with 60 texts of 1 MB each": lambda: png(
         64, 64, png_chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(1 << 20))) * 60, png_rows(64, 64)

@@ -1,4 +1,4 @@
-"""Hostile files in a registry: each is refused by name, nothing hangs, nothing is followed."""
+"""Hostile files in a registry: each is refused by its name, without a hang and without following a link."""
 
 import os
 import socket
@@ -18,32 +18,32 @@ FILES = ("manifest.json", "model.onnx", "card.md")
 
 @pytest.fixture
 def registry(tmp_path: Path) -> Registry:
-    """A registry with one version."""
+    """Create a registry with one version."""
     found = Registry(tmp_path / "models")
     publish_fake(found)
     return found
 
 
 def symlink(path: Path) -> None:
-    """The right bytes, under a link that could point elsewhere tomorrow."""
+    """Replace a file by a symlink to its bytes. The link could point elsewhere later."""
     elsewhere = path.parents[3] / "elsewhere"
     path.rename(elsewhere)
     path.symlink_to(elsewhere)
 
 
 def hard_link(path: Path) -> None:
-    """The right bytes, with a second name through which they can be changed."""
+    """Give a file a second name, through which its bytes can be changed."""
     os.link(path, path.parents[3] / "elsewhere")
 
 
 def pipe(path: Path) -> None:
-    """Reading it would wait for ever."""
+    """Replace a file by a pipe. Reading it would wait for ever."""
     path.unlink()
     os.mkfifo(path)
 
 
 def unix_socket(path: Path) -> None:
-    """Not to be opened at all."""
+    """Replace a file by a socket, which cannot be opened."""
     path.unlink()
     here = Path.cwd()
     os.chdir(path.parent)  # a socket's path has to be short
@@ -55,7 +55,7 @@ def unix_socket(path: Path) -> None:
 
 
 def device(path: Path) -> None:
-    """Reading it would never end."""
+    """Replace a file by the device /dev/zero. Reading it would never end."""
     path.unlink()
     try:
         os.mknod(path, 0o20644, os.makedev(1, 5))  # /dev/zero
@@ -64,13 +64,13 @@ def device(path: Path) -> None:
 
 
 def folder(path: Path) -> None:
-    """Not a file."""
+    """Replace a file by a folder."""
     path.unlink()
     path.mkdir()
 
 
 def huge(path: Path) -> None:
-    """A terabyte of holes."""
+    """Extend a file to a sparse terabyte."""
     with path.open("r+b") as file:
         file.truncate(1 << 40)
 
@@ -89,7 +89,7 @@ ATTACKS: dict[str, tuple[Callable[[Path], None], str]] = {
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_file_that_is_not_a_plain_file_is_refused_by_its_name(registry: Registry, file: str, attack: str) -> None:
-    """The error names the file and what is wrong with it."""
+    """A file that is not a plain file is refused with its name and the reason."""
     change, refusal = ATTACKS[attack]
     change(registry.root / NAME / "1" / file)
     with pytest.raises(BrokenModelError, match=rf"{file}: {refusal}"):
@@ -99,8 +99,8 @@ def test_a_file_that_is_not_a_plain_file_is_refused_by_its_name(registry: Regist
 @pytest.mark.parametrize(
     ("file", "limit"), list(zip(FILES, (MAX_MANIFEST_BYTES, MAX_MODEL_BYTES, MAX_CARD_BYTES), strict=True))
 )
-def test_sizes_are_bounded_by_name_before_anything_is_read(registry: Registry, file: str, limit: int) -> None:
-    """One byte over the limit is refused with the limit; not a byte of it is read."""
+def test_a_file_over_its_limit_is_refused(registry: Registry, file: str, limit: int) -> None:
+    """A file of one byte over the limit is refused with the limit, before any of it is read."""
     path = registry.root / NAME / "1" / file
     with path.open("r+b") as opened:
         opened.truncate(limit + 1)
@@ -110,7 +110,7 @@ def test_sizes_are_bounded_by_name_before_anything_is_read(registry: Registry, f
 
 @pytest.mark.parametrize("attack", ["symlink", "hard link", "pipe", "device", "folder", "huge"])
 def test_an_alias_that_is_not_a_plain_file_is_no_alias(registry: Registry, attack: str) -> None:
-    """It names nothing, and listing does not hang."""
+    """An alias that is not a plain file is left out of the aliases, and listing them does not hang."""
     path = registry.root / NAME / "aliases" / "champion"
     ATTACKS[attack][0](path)
     assert registry.aliases(NAME) == {}
@@ -118,7 +118,7 @@ def test_an_alias_that_is_not_a_plain_file_is_no_alias(registry: Registry, attac
 
 @pytest.mark.parametrize("attack", ["symlink", "hard link", "pipe", "device", "folder"])
 def test_a_history_that_is_not_a_plain_file_is_neither_read_nor_written(registry: Registry, attack: str) -> None:
-    """A link on it could make a publisher write to any file of its user."""
+    """A history that is not a plain file is refused. Through a link a publisher could write to any file of its user."""
     path = registry.root / NAME / "history.jsonl"
     victim = registry.root.parent / "victim"
     victim.write_bytes(path.read_bytes())
@@ -141,7 +141,7 @@ def test_a_history_that_is_not_a_plain_file_is_neither_read_nor_written(registry
 
 @pytest.mark.parametrize("what", ["", "1", "aliases"])
 def test_a_folder_that_is_a_link_is_not_followed(registry: Registry, what: str) -> None:
-    """Model, version or aliases: the real path must lie inside the registry, step by step."""
+    """A folder of a model, a version or aliases that is a link is refused, because it could lead out of the registry."""
     path = registry.root / NAME / what
     outside = registry.root.parent / "outside"
     path.rename(outside)
@@ -151,13 +151,13 @@ def test_a_folder_that_is_a_link_is_not_followed(registry: Registry, what: str) 
 
 
 def test_a_linked_model_is_not_listed(registry: Registry) -> None:
-    """A name that leads out of the registry is none of its models."""
+    """A model whose folder is a link is not listed."""
     (registry.root / "push-none").symlink_to(registry.root / NAME)
     assert registry.names() == [NAME]
 
 
 def test_publishing_through_a_linked_model_is_refused(registry: Registry, tmp_path: Path) -> None:
-    """Nothing is written outside of the registry."""
+    """Publishing to a model whose folder is a link is refused, and writes no file outside of the registry."""
     outside = tmp_path / "outside"
     outside.mkdir()
     (registry.root / "push-none").symlink_to(outside)
@@ -167,7 +167,7 @@ def test_publishing_through_a_linked_model_is_refused(registry: Registry, tmp_pa
 
 
 def test_signing_through_a_link_is_refused(registry: Registry, tmp_path: Path) -> None:
-    """Nor is anything else written there."""
+    """Signing into a folder that is a link is refused, and writes no file outside of the registry."""
     outside = tmp_path / "outside"
     outside.mkdir()
     (registry.root / NAME / "signatures").symlink_to(outside)
@@ -177,8 +177,8 @@ def test_signing_through_a_link_is_refused(registry: Registry, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("name", ["..", ".", "a/b", "/etc", "", "UPPER", "x" * 65, "a\x00b", "a\n", "é", "a b", "-a"])
-def test_names_are_taken_from_an_allow_list(registry: Registry, name: str) -> None:
-    """Whatever is asked of the registry, such a name reaches no file system."""
+def test_a_name_outside_of_the_allow_list_is_refused(registry: Registry, name: str) -> None:
+    """Every operation of the registry refuses such a name before it reaches the file system."""
     for ask in (
         lambda: registry.versions(name),
         lambda: registry.read(name, 1),
@@ -192,16 +192,16 @@ def test_names_are_taken_from_an_allow_list(registry: Registry, name: str) -> No
 
 
 @pytest.mark.parametrize("extra", ["extra.bin", "model.onnx.data", ".hidden", "weights"])
-def test_no_file_lies_beside_those_of_the_manifest(registry: Registry, extra: str) -> None:
-    """What the manifest does not vouch for does not belong."""
+def test_a_version_with_a_file_that_its_manifest_does_not_list_is_refused(registry: Registry, extra: str) -> None:
+    """A version with a file that its manifest does not list is refused."""
     (registry.root / NAME / "1" / extra).write_bytes(b"")
     with pytest.raises(BrokenModelError, match="not in the manifest"):
         registry.read(NAME, 1)
 
 
 @pytest.mark.parametrize("file", FILES)
-def test_no_file_is_missing(registry: Registry, file: str) -> None:
-    """The error names the one that is."""
+def test_a_version_with_a_missing_file_is_refused(registry: Registry, file: str) -> None:
+    """A version with a missing file is refused with the name of the file."""
     (registry.root / NAME / "1" / file).unlink()
     with pytest.raises(BrokenModelError, match=f"{file}: No such file"):
         registry.read(NAME, 1)

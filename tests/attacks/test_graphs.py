@@ -1,4 +1,4 @@
-"""Each hostile graph is refused by its own refusal, before onnxruntime sees it; honest ones are served."""
+"""Hostile graphs are refused before onnxruntime sees them, each with a message of its own. Valid ones are served."""
 
 import subprocess
 import sys
@@ -14,31 +14,31 @@ from service.model.predictor import OnnxPredictor, Predictor
 from service.model.tensors import ContextKind, Tensor
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
-from tests.attacks.hostile_graphs import ATTACKS, honest
+from tests.attacks.hostile_graphs import ATTACKS, valid_graph
 from tests.fakes import load_fake, publish_fake
 
 TENSORS = expected_inputs(ContextKind.NONE), OUTPUTS
 
 
-def test_the_honest_graph_that_the_attacks_begin_with_is_accepted() -> None:
-    """What is refused below is refused for the attack and for nothing else."""
-    OnnxPredictor(honest().SerializeToString(), *TENSORS)
+def test_the_valid_graph_is_accepted() -> None:
+    """The valid graph is accepted, so a change of it is refused for the change alone."""
+    OnnxPredictor(valid_graph().SerializeToString(), *TENSORS)
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_hostile_graph_is_refused(attack: str) -> None:
-    """The error names the file and the reason."""
+    """A hostile graph is refused with the name of the file and the reason."""
     build, refusal = ATTACKS[attack]
     with pytest.raises(BrokenModelError, match=rf"model\.onnx: .*({refusal})"):
         OnnxPredictor(build().SerializeToString(), *TENSORS)
 
 
-def test_a_published_attack_is_a_problem_and_what_is_served_goes_on(tmp_path: Path) -> None:
-    """Through the whole path: digests fit, the graph is refused, the old version serves, readiness says why."""
+def test_a_published_hostile_graph_is_not_served(tmp_path: Path) -> None:
+    """A hostile graph with valid digests is refused. The previous version is served, and readiness names the reason."""
     registry = Registry(tmp_path / "models")
 
     def load(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> Predictor:
-        """The fake for the fake, the real one for the attack."""
+
         return (load_fake if model == b"fine" else OnnxPredictor)(model, inputs, outputs)
 
     publish_fake(registry)
@@ -50,7 +50,7 @@ def test_a_published_attack_is_a_problem_and_what_is_served_goes_on(tmp_path: Pa
     assert any("external data" in problem for problem in models.snapshot.problems)
 
 
-SMALL = """
+PEAK_MEMORY_SCRIPT = """
 import resource, sys
 from service.errors import BrokenModelError
 from service.model.onnx_graph import inspect_graph
@@ -66,16 +66,17 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 """
 
 
-def test_refusing_costs_no_more_than_the_files_are_large(project_root: Path) -> None:
-    """All attacks together raise the peak of a fresh process by less than 100 MiB, though they claim terabytes."""
-    done = subprocess.run([sys.executable, "-c", SMALL], cwd=project_root, capture_output=True, text=True, check=True)
+def test_refusing_hostile_graphs_takes_little_memory(project_root: Path) -> None:
+    """All hostile graphs together raise the peak memory of a process by less than 100 MiB. They declare terabytes."""
+    command = [sys.executable, "-c", PEAK_MEMORY_SCRIPT]
+    done = subprocess.run(command, cwd=project_root, capture_output=True, text=True, check=True)
     assert int(done.stdout) < 100
 
 
 @pytest.mark.parametrize("place", range(0, 400, 7))
-def test_a_torn_graph_is_our_error_or_none(place: int) -> None:
-    """Cut anywhere, the walk ends in a refusal or in acceptance, never in anything else."""
-    content = honest().SerializeToString()[:place]
+def test_a_truncated_graph_is_refused_or_accepted(place: int) -> None:
+    """A graph that is cut at any byte is accepted or refused with BrokenModelError, and raises no other error."""
+    content = valid_graph().SerializeToString()[:place]
     try:
         inspect_graph(content)
     except BrokenModelError:
