@@ -131,7 +131,8 @@ class Endpoints:
             OverloadedError, DeadlineError: the threads are busy.
             PredictionError: the runtime failed.
         """
-        self._admit(endpoint, request)
+        self._admit(request.headers)
+        endpoint.check(request.headers)
         models = self._models.snapshot
         if not endpoint.is_read_quickly(request):
             return await self._threads.run(endpoint.answer, models, request)
@@ -152,19 +153,21 @@ class Endpoints:
     def query_single(self, endpoint: Endpoint[Any], request: HttpRequest) -> Query | None:
         """Return the query of a single push, to be submitted to the micro-batcher; None where it needs a thread.
 
+        The caller has checked the headers: only a plain request takes the shortcut.
+
         Raises:
             RequestError, ModelNotReadyError: see ``answer``.
         """
-        self._admit(endpoint, request)
+        self._admit(request.headers)
         read = endpoint.read(request)
         if endpoint.weigh(read) is not Weight.SINGLE:
             return None
         asked = endpoint.ask(self._models.snapshot, read)
         return None if isinstance(asked, Answer) else asked
 
-    def _admit(self, endpoint: Endpoint[Any], request: HttpRequest) -> None:
-        self._keys.admit(header(request.headers, b"authorization"), Scope.PREDICT)
-        endpoint.check(request.headers)
+    def _admit(self, headers: Headers) -> None:
+        if self._keys.wanted:
+            self._keys.admit(header(headers, b"authorization"), Scope.PREDICT)
 
 
 def _pattern(template: str) -> re.Pattern[str]:
