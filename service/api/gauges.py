@@ -1,4 +1,4 @@
-"""Gauges and counters of models, threads and admission, under their names in Prometheus."""
+"""Gauges and counters of models, threads and admission, with their names in Prometheus."""
 
 import platform
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ Rows = list[tuple[tuple[str, ...], float]]
 
 
 def gauges(models: LoadedModels, readiness: Readiness, threads: ThreadPool, admission: Admission) -> Readings:
-    """Return the readings of served models, of readiness, and of the work in progress."""
+    """Return the readings of served models, readiness and requests in progress."""
     return Readings(
         (*_of_the_process(readiness, threads, admission), *_of_models(models, readiness), *_of_registry(models))
     )
@@ -23,15 +23,30 @@ def gauges(models: LoadedModels, readiness: Readiness, threads: ThreadPool, admi
 def _of_the_process(readiness: Readiness, threads: ThreadPool, admission: Admission) -> tuple[Reading, ...]:
     build = (service.__version__, platform.python_version())
     return (
-        Reading("cazsl_build_info", "Always 1; its labels say what runs.", ("version", "python"), lambda: [(build, 1)]),
-        Reading("cazsl_ready", "Whether /readyz says so.", (), lambda: _one(readiness.is_ready())),
         Reading(
-            "cazsl_draining", "Whether SIGTERM has come: serving on, not ready.", (), lambda: _one(readiness.draining)
+            "cazsl_build_info",
+            "Always 1. The labels are the versions of the service and of Python.",
+            ("version", "python"),
+            lambda: [(build, 1)],
         ),
-        Reading("cazsl_requests_in_flight", "Requests being answered.", (), lambda: _one(admission.in_flight)),
-        Reading("cazsl_request_bytes_held", "Bytes of bodies held.", (), lambda: _one(admission.held_bytes)),
-        Reading("cazsl_worker_jobs", "Large batches and images in threads or waiting.", (), lambda: _one(threads.jobs)),
-        Reading("cazsl_worker_threads", "Threads for them, at most.", (), lambda: _one(threads.threads)),
+        Reading("cazsl_ready", "1 if /readyz answers 200.", (), lambda: _one(readiness.is_ready())),
+        Reading(
+            "cazsl_draining",
+            "1 after SIGTERM: the service finishes requests and is not ready.",
+            (),
+            lambda: _one(readiness.draining),
+        ),
+        Reading("cazsl_requests_in_flight", "Requests that are being answered.", (), lambda: _one(admission.in_flight)),
+        Reading(
+            "cazsl_request_bytes_held", "Bytes of request bodies in memory.", (), lambda: _one(admission.held_bytes)
+        ),
+        Reading(
+            "cazsl_worker_jobs",
+            "Large batches and images in a thread or waiting for one.",
+            (),
+            lambda: _one(threads.jobs),
+        ),
+        Reading("cazsl_worker_threads", "Threads for large batches and images.", (), lambda: _one(threads.threads)),
     )
 
 
@@ -40,47 +55,47 @@ def _of_models(models: LoadedModels, readiness: Readiness) -> tuple[Reading, ...
     return (
         Reading(
             "cazsl_model_ready",
-            "Loaded, checked, and its last tiny inference was right.",
+            "1 if the last self-check of the loaded version passed.",
             ("model", "version"),
             lambda: [((check.name, str(check.version)), float(check.ready)) for check in readiness.checks()],
         ),
         Reading(
             "cazsl_alias_version",
-            "The version that an alias means here.",
+            "Version that the alias names in this process.",
             ("model", "alias"),
             lambda: [(names, float(version)) for names, version in models.snapshot.aliases.items()],
         ),
         Reading(
             "cazsl_model_loads",
-            "Versions that passed every check and are served.",
+            "Versions that passed every check and were loaded.",
             ("model",),
             lambda: _by_name(counters.loads),
             counts=True,
         ),
         Reading(
             "cazsl_model_releases",
-            "Versions that are served no more.",
+            "Versions that were unloaded.",
             ("model",),
             lambda: _by_name(counters.releases),
             counts=True,
         ),
         Reading(
             "cazsl_model_load_failures",
-            "Attempts at a version that failed a check; tried again at every look.",
+            "Failed attempts to load a version. Every poll tries again.",
             ("model",),
             lambda: _by_name(counters.failures),
             counts=True,
         ),
         Reading(
             "cazsl_alias_swaps",
-            "Times that an alias came to mean another version.",
+            "Changes of the version that an alias names.",
             ("model", "alias"),
             lambda: [(names, float(count)) for names, count in list(counters.swaps.items())],
             counts=True,
         ),
         Reading(
             "cazsl_model_probe_failures",
-            "Tiny inferences that failed, gave something else, or did not end.",
+            "Self-checks that raised an error, gave another output, or did not end in time.",
             ("model",),
             lambda: _by_name(readiness.failures),
             counts=True,
@@ -92,16 +107,19 @@ def _of_registry(models: LoadedModels) -> tuple[Reading, ...]:
     return (
         Reading(
             "cazsl_registry_up",
-            "Whether the last look saw the registry.",
+            "1 if the last poll could read the registry.",
             (),
             lambda: _one(models.counters.registry_up),
         ),
         Reading(
-            "cazsl_registry_problems", "Problems that /readyz lists.", (), lambda: _one(len(models.snapshot.problems))
+            "cazsl_registry_problems",
+            "Problems of the registry that /readyz lists.",
+            (),
+            lambda: _one(len(models.snapshot.problems)),
         ),
         Reading(
             "cazsl_registry_failures",
-            "Looks at the registry that failed.",
+            "Polls that could not read the registry.",
             (),
             lambda: _one(models.counters.registry_failures),
             counts=True,

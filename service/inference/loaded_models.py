@@ -1,12 +1,13 @@
 """Verified models in memory: load, self-check, swap, release.
 
-``refresh`` brings memory in line with the registry. Every version that an alias names and the newest few of each model
-are loaded. Each is verified (format, sizes, digests, tensors, self-check) before a request can reach it. The served
-models are one immutable snapshot, exchanged by assigning one reference: a request keeps the model that it started with.
+``refresh`` brings memory in line with the registry. It loads every version that an alias names, and the newest few of
+each model. Each is verified (format, sizes, digests, tensors, self-check) before a request can reach it. The served
+models are one immutable snapshot, which is exchanged by assigning one reference. A request keeps the model that it
+started with.
 
 If a new version fails verification, its alias keeps the previous version, and readiness names the reason. If the
-registry cannot be read, everything stays as it is. A version or folder that disappears without having been removed, as
-when a disk is no longer mounted, stays served.
+registry cannot be read, the snapshot stays as it is. A version or folder that disappears without having been removed,
+as when a disk is no longer mounted, stays served.
 """
 
 import contextlib
@@ -24,7 +25,7 @@ from service.registry.loading import load_version
 from service.registry.registry import Registry
 from service.storage.history import ModelState
 
-# A file that was moved by hand may not change the fingerprint of the registry: every so many polls, everything is read.
+# Files that are edited by hand may leave the fingerprint of the registry as it was. Every 30th poll reads all files.
 THOROUGH_EVERY: Final = 30
 
 logger = logging.getLogger(__name__)
@@ -32,7 +33,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass
 class ModelCounters:
-    """Counters since the start, by model name, and the state of the registry at the last poll."""
+    """Counters by model name since the start, and the state of the registry at the last poll."""
 
     loads: Counter[str] = field(default_factory=Counter)
     releases: Counter[str] = field(default_factory=Counter)
@@ -43,7 +44,7 @@ class ModelCounters:
 
 
 class LoadedModels:
-    """The served models of a registry, as a snapshot that ``refresh`` renews."""
+    """Models of a registry in memory, as a snapshot that ``refresh`` renews."""
 
     def __init__(self, registry: Registry, load: PredictorFactory, newest_versions: int = 8) -> None:
         self._registry = registry
@@ -57,11 +58,11 @@ class LoadedModels:
 
     @property
     def snapshot(self) -> Snapshot:
-        """Return the models that are served now; keep it for the length of a request."""
+        """Return the models that are served now. A request keeps this snapshot to its end."""
         return self._snapshot
 
     def refresh(self) -> None:
-        """Bring memory in line with the registry. Problems of the registry never raise: the snapshot lists them."""
+        """Bring memory in line with the registry. It never raises for the registry: the snapshot lists its problems."""
         with self._refreshing:
             self._polls += 1
             try:
@@ -83,7 +84,7 @@ class LoadedModels:
             self._snapshot = snapshot
 
     def _after_failure(self, problem: str) -> Snapshot:
-        """Return the old snapshot with a new problem; at the start, the versions that the storage has cached."""
+        """Return the old snapshot with a new problem. At the start, return the versions that the storage has cached."""
         if not self._snapshot.models:
             with contextlib.suppress(CazslError):
                 remembered = self._next_snapshot()
@@ -122,12 +123,12 @@ class LoadedModels:
         return Snapshot(models, aliases, tuple(problems) if models or problems else ("the registry holds no model",))
 
     def _lost_versions(self, name: str, state: ModelState) -> set[int]:
-        """Return versions that are served, and neither there nor removed: an outage, or files deleted by hand."""
+        """Return served versions that are absent but not removed: the storage has an outage, or files were deleted."""
         served = {version for model, version in self._snapshot.models if model == name}
         return served - state.versions - state.removed
 
     def _lost_aliases(self, name: str, state: ModelState) -> dict[str, int]:
-        """Return aliases that are served and no longer there, though the history has no line that drops them."""
+        """Return served aliases that are absent, though no line of the history drops them."""
         missing = {
             alias: version
             for (model, alias), version in self._snapshot.aliases.items()
@@ -141,7 +142,7 @@ class LoadedModels:
         return missing
 
     def _announce(self, new: Snapshot) -> None:
-        """Log and count the changes, once."""
+        """Log and count each change once."""
         old, counters = self._snapshot, self.counters
         for name, version in sorted(new.models.keys() - old.models.keys()):
             counters.loads[name] += 1

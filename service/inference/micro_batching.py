@@ -1,10 +1,10 @@
-"""Micro-batching: single pushes that arrive in one iteration of the event loop run in one onnxruntime call.
+"""Micro-batching: all single pushes that arrive in one iteration of the event loop run in one onnxruntime call.
 
-Under load an iteration reads many requests. onnxruntime reads a model's weights once a call, and between two calls the
-rest of a request evicts them from the core's cache: reading them took longer than all else that a push needs
-(``benchmarks/serving.py``). No request waits for others: the call runs at the end of the iteration. The prediction of a
-push is the same to the bit whatever stands beside it (see ``service.model.predictor``). Where a call fails, each of its
-pushes is predicted alone.
+Under load an iteration reads many requests. onnxruntime reads the weights of a model once per call, and between two
+calls the other work of a request evicts them from the cache of the core: to read them again takes longer than the rest
+of a push (``benchmarks/serving.py``). No request waits for others: the call runs at the end of the iteration. The
+prediction of a push is the same to the bit in every micro-batch (see ``service.model.predictor``). If a call fails,
+each of its pushes is predicted alone.
 """
 
 import asyncio
@@ -29,19 +29,19 @@ logger = logging.getLogger(__name__)
 
 
 class MicroBatcher:
-    """Collects the single pushes of an iteration of one event loop."""
+    """Collect the single pushes of each iteration of one event loop."""
 
     def __init__(self) -> None:
         self._waiting: list[_Waiting] = []
         self._failed: list[tuple[Exception, Callback]] = []
 
     def submit(self, query: Query, callback: Callback) -> None:
-        """Predict one push at the end of this iteration. The callback gets the outcome, an error as it was raised."""
+        """Predict one push at the end of this iteration. The callback gets the prediction, or the error raised."""
         self._schedule()
         self._waiting.append((query, callback))
 
     def fail(self, error: Exception, callback: Callback) -> None:
-        """Give the callback an error at the end of this iteration, for a push that cannot be submitted."""
+        """Pass an error to the callback at the end of this iteration, for a push that cannot be submitted."""
         self._schedule()
         self._failed.append((error, callback))
 
@@ -67,7 +67,7 @@ class MicroBatcher:
         return query.encode(mean, std)
 
     def flush(self) -> None:
-        """Predict the pushes that wait, now."""
+        """Predict the waiting pushes now."""
         waiting, self._waiting = self._waiting, []
         failed, self._failed = self._failed, []
         for group in _groups(waiting):
@@ -76,7 +76,7 @@ class MicroBatcher:
             _call(callback, error)
 
     def _schedule(self) -> None:
-        if not self._waiting and not self._failed:  # in a context of its own: each request records its own timing
+        if not self._waiting and not self._failed:  # in an empty context: each request records its own timing
             asyncio.get_running_loop().call_soon(self.flush, context=Context())
 
 
@@ -95,10 +95,10 @@ def _groups(waiting: Iterable[_Waiting]) -> list[list[_Waiting]]:
 
 
 def _settle(group: Sequence[_Waiting]) -> None:
-    """Predict a group and call every callback, whatever fails."""
+    """Predict a group and call every callback, also after an error."""
     try:
         found = _predict([query for query, _ in group])
-    except Exception as error:  # one push must not spoil the others, and a bug here must not leave them waiting
+    except Exception as error:  # one push must not fail the others, and a bug here must not leave them waiting
         if len(group) > 1:
             for one in group:
                 _settle([one])

@@ -1,6 +1,6 @@
-"""A query: pushes and contexts that one model is asked about, and the bytes of its answer.
+"""A query: pushes and contexts for one model, and the bytes of its answer.
 
-Every question to a model passes through ``predict``, whichever protocol asks it.
+Queries of every protocol pass through ``predict``.
 """
 
 import math
@@ -23,7 +23,7 @@ _LARGEST_ANGLE: Final = np.nextafter(np.float32(math.pi), np.float32(0.0))  # fl
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The bytes of an answer and its headers, and for predictions the model and the number of pushes."""
+    """An answer: its bytes and headers, and for predictions the model and the number of pushes."""
 
     content: bytes
     model: str = ""
@@ -32,7 +32,7 @@ class Answer:
     headers: tuple[tuple[bytes, bytes], ...] = ((b"content-type", b"application/json"),)
 
     def head(self) -> tuple[tuple[bytes, bytes], ...]:
-        """Return all headers, in the framework's order."""
+        """Return all headers, in the order of the framework."""
         return (*self.headers, (b"content-length", b"%d" % len(self.content)))
 
 
@@ -41,10 +41,10 @@ class ContextBatch:
     """Distinct contexts of one kind, and the index of each push's context.
 
     Attributes:
-        kind: of every context in the batch.
-        tensor: (g, ...) float32, the distinct contexts; None for kind ``none``.
-        index: (n,) int64, the context of each push; None for kind ``none``.
-        where: the field of the request that gave them, for errors.
+        kind: kind of every context in the batch.
+        tensor: (g, ...) float32, the distinct contexts. None for kind ``none``.
+        index: (n,) int64, the context of each push. None for kind ``none``.
+        where: field of the request that has the contexts, for errors.
     """
 
     kind: ContextKind
@@ -54,7 +54,7 @@ class ContextBatch:
 
 
 def predict(model: LoadedModel, pushers: FloatArray, contexts: ContextBatch) -> tuple[FloatArray, FloatArray]:
-    """Return mean and std (n, 3), in m, m, rad in the object frame, of pushes (n, 3); angles in (-pi, pi].
+    """Return mean and std (n, 3) of pushes (n, 3), in m, m, rad in the object frame, with angles in (-pi, pi].
 
     Raises:
         ContextKindError: the contexts are not of the kind that the model takes.
@@ -81,7 +81,7 @@ def _all_inside(angles: FloatArray) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Query(ABC):
-    """Pushes that one model is asked about; each protocol encodes the answer in its own way."""
+    """A query: pushes for one model. Each protocol encodes the answer in its own way."""
 
     model: LoadedModel
     pushers: FloatArray  # (n, 3), in the object frame
@@ -96,7 +96,7 @@ class Query(ABC):
         return self.encode(*self.predict())
 
     def predict(self) -> tuple[FloatArray, FloatArray]:
-        """Return mean and std (n, 3): the part that a thread can do while the event loop reads and writes.
+        """Return mean and std (n, 3): the part that a thread does while the event loop goes on.
 
         Raises:
             ContextKindError, PredictionError: see ``predict``.

@@ -1,8 +1,8 @@
-"""Readiness: a model is loaded, passed its checks, and its last probe was right.
+"""Readiness: a model is ready if it is loaded, passed its checks, and its last probe was right.
 
-A loaded model passed its self-check. A timer runs the self-check of every model again, in a thread, each within a time
-limit. A model that fails, gives another output or does not end is not ready, and becomes ready again once it answers. A
-registry that cannot be read changes the readiness of no model.
+A timer runs the self-check of every loaded model again, in a thread and within a time limit. A model that fails, gives
+another output or does not end is not ready, and becomes ready again once it answers. A registry that cannot be read
+does not change the readiness of a model.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ModelCheck:
-    """The result of the last probe of a loaded version: the reason of its failure, or None."""
+    """Result of the last probe of a loaded version: the reason of its failure, or None."""
 
     name: str
     version: int
@@ -37,7 +37,7 @@ class ModelCheck:
 
 
 class Readiness:
-    """The results of the probes of all loaded versions."""
+    """Readiness of all loaded versions, by their probes."""
 
     def __init__(self, models: LoadedModels, poll_interval_s: float, limit_s: float) -> None:
         self._models = models
@@ -53,12 +53,12 @@ class Readiness:
         self.draining = True
 
     def checks(self) -> list[ModelCheck]:
-        """Return the result for every loaded version, by name and number. A new version passed its self-check at loading."""
+        """Return the result for every loaded version, by name and number. A version that is new passed at loading."""
         reasons = self._reasons
         return [ModelCheck(*key, reasons.get(key)) for key in sorted(self._models.snapshot.models)]
 
     def reason_against(self, name: str, version: int) -> str | None:
-        """Return why this version is not ready; None when it is."""
+        """Return why this version is not ready, or None if it is."""
         return self._reasons.get((name, version))
 
     def is_ready(self) -> bool:
@@ -66,7 +66,7 @@ class Readiness:
         return not self.draining and any(check.ready for check in self.checks())
 
     def reason(self) -> str | None:
-        """Return why the service is not ready, and what it does about it; None when it is ready."""
+        """Return why the service is not ready and when it polls again, or None if it is ready."""
         if self.draining:
             return DRAINING
         if self.is_ready():
@@ -76,7 +76,7 @@ class Readiness:
         return f"not ready, looking again every {self._poll_interval_s:g} s, because {cause or 'no model is loaded'}"
 
     async def probe(self) -> None:
-        """Run the self-check of every loaded version once. Failures never raise: they make a version not ready."""
+        """Run the self-check of every loaded version once. A failure makes a version not ready, and is not raised."""
         models = self._models.snapshot.models
         found = {key: await self._probe(key, model) for key, model in models.items()}
         for key, reason in found.items():
@@ -88,7 +88,7 @@ class Readiness:
         self._reasons = {key: reason for key, reason in found.items() if reason is not None}
 
     async def _probe(self, key: Key, model: LoadedModel) -> str | None:
-        """Run one self-check. One that did not end is awaited further rather than run again."""
+        """Run one self-check. If the last one did not end yet, await that one instead."""
         running = self._running.pop(key, None)
         if running is None:
             running = asyncio.ensure_future(asyncio.to_thread(check_itself, model.manifest, model.predictor))
@@ -99,9 +99,7 @@ class Readiness:
             return f"the self-check did not end within {self._limit_s:g} s"
         except CazslError as error:
             return str(error)
-        except (
-            Exception
-        ):  # the outermost ring of the probe: an unexpected exception is a reason too, and must not end the timer
+        except Exception:  # a bug is a reason too, and must not end the timer
             logger.exception("probe failed", extra={"model": key[0], "version": key[1]})
             return "the self-check failed; the log has the cause"
         return None

@@ -1,4 +1,4 @@
-"""The snapshot of all models that are served at one instant."""
+"""Snapshot of all models that are served at one instant."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ _DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, na
 
 @dataclass(frozen=True)
 class Snapshot:
-    """The served models, their aliases, and the problems of the registry. Immutable: a request uses one throughout."""
+    """Snapshot of the served models, their aliases, and the problems of the registry. A request uses one throughout."""
 
     models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
     aliases: Mapping[tuple[str, str], int] = field(default_factory=dict)
@@ -66,5 +66,5 @@ class Snapshot:
         return numbers
 
     def aliases_of(self, name: str) -> dict[str, int]:
-        """Return the aliases of a model and the versions that they name."""
+        """Return the aliases of a model with the versions that they name."""
         return {alias: version for (model, alias), version in self.aliases.items() if model == name}

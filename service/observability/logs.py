@@ -1,4 +1,4 @@
-"""Logs as JSON lines on standard error."""
+"""Logs as lines of JSON on standard error."""
 
 import asyncio
 import sys
@@ -19,7 +19,7 @@ _FLUSH_LINES: Final = 512
 
 
 def configure_logging(level: str) -> None:
-    """Write one JSON line per event on standard error, uvicorn's own lines included."""
+    """Log each event as a line of JSON on standard error, those of uvicorn included."""
     dictConfig(
         {
             "version": 1,
@@ -42,7 +42,7 @@ def configure_logging(level: str) -> None:
 
 
 class RequestLog:
-    """A JSON line per request, written in groups: a write for each costs as much as a prediction.
+    """Log of requests, one line of JSON each. Lines are written in groups: one write costs as much as a prediction.
 
     Lines that are not written yet are lost when the process is killed. ``flush`` writes them at an orderly end.
     """

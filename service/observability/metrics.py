@@ -1,8 +1,9 @@
 """Metrics of requests, made of their records.
 
-Records are counted hundreds at a time: one by one costs more. Labels are templates of routes, codes of problems, and
-names and versions of models that are served. Series of versions that are no longer served are dropped, so that years of
-promotions do not grow them. Each process has its own metrics, and Prometheus sums replicas.
+Records are counted hundreds at a time, which costs less than one by one (``benchmarks/metrics.py``). Labels are
+templates of routes, codes of problems, and names and versions of models that are served. Series of versions that are no
+longer served are dropped, so that promotions do not grow them over the years. Each process has its own metrics, and
+Prometheus sums replicas.
 """
 
 from collections import Counter, defaultdict
@@ -32,7 +33,7 @@ _Key = tuple[str, str, int]
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Requests of one route that one version answered; name and version are empty for answers without a model."""
+    """Series of one route and one version. Name and version are empty for answers without a model."""
 
     duration_s: Distribution = field(default_factory=lambda: Distribution(SECONDS))
     inference_s: Distribution = field(default_factory=lambda: Distribution(INFERENCE_SECONDS))
@@ -48,7 +49,7 @@ class Series:
 
 
 class RequestMetrics(Collector):
-    """Counts and durations of requests by route, model and phase."""
+    """Metrics of requests: counts and durations by route, model and phase."""
 
     def __init__(self, is_served: Callable[[str, int], bool]) -> None:
         self._is_served = is_served
@@ -71,7 +72,7 @@ class RequestMetrics(Collector):
             self._refusals[reason] += 1
 
     def collect(self) -> Iterator[Metric]:
-        """Return the families, as they are now."""
+        """Return the families with their current values."""
         self._count()
         series = [((route, model, str(version or "")), found) for (route, model, version), found in self._items()]
         statuses = Counter(self._statuses)
@@ -79,20 +80,20 @@ class RequestMetrics(Collector):
             statuses.update({(route, status): count for status, count in found.statuses.items()})
         yield counter(
             "cazsl_requests",
-            "Requests by route and HTTP status; 0: the client left before the answer.",
+            "Requests by route and HTTP status. Status 0: the client left before the answer.",
             ("route", "status"),
             (((route, str(status)), count) for (route, status), count in statuses.items()),
         )
         yield histogram(
             "cazsl_request_duration_seconds",
-            "From the head of a request to the end of its answer; the body it waits for included.",
+            "Time from the head of a request to the end of its answer, with the arrival of its body.",
             MODEL_LABELS,
             ((labels, found.duration_s) for labels, found in series),
         )
         by_model = [(labels, found) for labels, found in series if labels[1]]
         yield histogram(
             "cazsl_inference_duration_seconds",
-            "In the runtime, all rows of a request at once.",
+            "Time in the runtime for all pushes of a request.",
             MODEL_LABELS,
             ((labels, found.inference_s) for labels, found in by_model),
         )
@@ -104,20 +105,25 @@ class RequestMetrics(Collector):
         )
         yield histogram(
             "cazsl_queue_wait_seconds",
-            "How long large batches and images waited for threads, by request.",
+            "Time that a large batch or an image waited for a thread.",
             (),
             [((), self._phases["queue"])],
         )
-        yield histogram("cazsl_image_decode_seconds", "Decoding one image.", (), [((), self._phases["decode"])])
+        yield histogram(
+            "cazsl_image_decode_seconds",
+            "Time to decode the images of a request into visual contexts.",
+            (),
+            [((), self._phases["decode"])],
+        )
         yield counter(
             "cazsl_refusals",
-            "Requests answered by a problem, by its code.",
+            "Requests that were answered with a problem, by its code.",
             ("reason",),
             (((reason,), count) for reason, count in list(self._refusals.items())),
         )
 
     def _count(self) -> None:
-        with self._counting:  # called from the event loop, and from the thread of a scrape
+        with self._counting:  # the event loop and the thread of a scrape call this
             records = self._records[:]
             del self._records[: len(records)]
             self._refusals.update([record.code for record in records if record.code])
@@ -128,10 +134,10 @@ class RequestMetrics(Collector):
                 groups[record.route, record.model, record.version].append(record)
             for key, group in groups.items():
                 self._series[key].add(group)
-            self._drop_released()  # whether or not Prometheus ever reads
+            self._drop_released()  # here, since Prometheus may never read
 
     def _items(self) -> list[tuple[_Key, Series]]:
-        return list(self._series.items())  # a copy in one go: a scrape reads it in a thread
+        return list(self._series.items())  # a copy in one call: a scrape reads in a thread
 
     def _drop_released(self) -> None:
         for (route, model, version), found in self._items():

@@ -1,4 +1,4 @@
-"""Prometheus: families of gauges, counters and histograms, and the text of a scrape."""
+"""Prometheus families of gauges, counters and histograms, and the text of a scrape."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ CONTENT_TYPE: Final = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class Distribution:
-    """A histogram of Prometheus: counts of values by upper bound, and their sum."""
+    """A histogram: counts of values by upper bound, and their sum."""
 
     __slots__ = ("_bounds", "_counts", "_total")
 
@@ -24,7 +24,7 @@ class Distribution:
         self._total = 0.0
 
     def add(self, values: Sequence[float]) -> None:
-        """Sort values into buckets."""
+        """Count values in their buckets."""
         places = np.searchsorted(self._bounds, values)  # the first bound that is not below
         self._counts += np.bincount(places, minlength=len(self._counts))
         self._total += sum(values)
@@ -35,7 +35,7 @@ class Distribution:
         return self._total
 
     def buckets(self) -> list[tuple[str, float]]:
-        """Return upper bounds, and for each the number of values that are no greater."""
+        """Return each upper bound with the number of values that are not greater."""
         names = (*map(repr, self._bounds), "+Inf")
         return list(zip(names, self._counts.cumsum().astype(float).tolist(), strict=True))
 
@@ -52,20 +52,20 @@ class Reading:
 
 
 class Readings(Collector):
-    """The readings of other objects as a collector."""
+    """A collector of readings."""
 
     def __init__(self, readings: Sequence[Reading]) -> None:
         self._readings = readings
 
     def collect(self) -> Iterator[Metric]:
-        """Return the families, as they are now."""
+        """Return the families with their current values."""
         for reading in self._readings:
             family = counter if reading.counts else gauge
             yield family(reading.name, reading.meaning, reading.labels, reading.read())
 
 
 def exposition(*collectors: Collector) -> CollectorRegistry:
-    """Register these collectors, and memory, processor time and open files of the process."""
+    """Register these collectors, and one of the memory, processor time and open files of the process."""
     registry = CollectorRegistry(auto_describe=False)
     for collector in collectors:
         registry.register(collector)

@@ -1,4 +1,4 @@
-"""The record of one request: its log line, its metrics and its span are made of it."""
+"""The record of one request, from which its log line, its metrics and its span are made."""
 
 from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, field
@@ -13,19 +13,19 @@ _PHASE_FIELDS: Final[Mapping[Phase, str]] = {phase: f"{phase}_ms" for phase in g
 
 @dataclass(slots=True)
 class RequestRecord:
-    """One request, filled from its head to the end of its answer.
+    """Record of one request, filled from its head to the end of its answer.
 
     Attributes:
-        request_id: the caller's id where it is safe to log, else one of ours.
-        method: of HTTP.
-        trace: trace id and span id of the caller (W3C Trace Context), where it sent them.
-        route: the template of the route that answered, never the path that was asked for.
-        code: of the problem that was answered; empty for other answers.
-        model, version, pushes: of the prediction; empty and 0 for other answers.
-        timings: of the phases, in s.
-        status: of HTTP; 0 when the client left before the answer.
-        duration_s: from the head of the request to the end of its answer.
-        time: of the end of the answer.
+        request_id: the caller's id if it is safe to log, else one of ours.
+        method: HTTP method.
+        trace: trace id and span id of the caller (W3C Trace Context), if it sent them.
+        route: template of the route that answered, never the path that was requested.
+        code: code of the problem that was answered. Empty for other answers.
+        model, version, pushes: those of the prediction. Empty and 0 for other answers.
+        timings: durations of the phases, in s.
+        status: HTTP status. 0: the client left before the answer.
+        duration_s: time from the head of the request to the end of its answer, in s.
+        time: end of the answer.
     """
 
     request_id: str

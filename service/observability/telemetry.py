@@ -1,7 +1,7 @@
 """Telemetry of requests: a request id, a log line and a count for each.
 
-The id is taken from ``X-Request-ID`` or made, and returned in the answer. The trace of the caller (W3C Trace Context,
-header ``traceparent``) is logged where it is valid.
+The id is that of ``X-Request-ID`` if it is safe to log, else a new one. The answer returns it. The trace of the caller
+(W3C Trace Context, header ``traceparent``) is logged if it is valid.
 """
 
 import itertools
@@ -35,7 +35,7 @@ class RequestObserver(Protocol):
     """A counter of requests."""
 
     def note(self, record: RequestRecord) -> None:
-        """Count a request that was answered, or whose client left, whether or not its line is logged."""
+        """Count a request that was answered, or whose client left, even if its line is not logged."""
         ...
 
 
@@ -71,7 +71,9 @@ class RequestTelemetry:
             await self.app(scope, receive, send_with_id)
         except Exception:
             self.log_failure(record)
-            if record.status:  # the answer is half sent: only cutting the connection tells the client
+            if (
+                record.status
+            ):  # half of the answer is sent: only the end of the connection shows the client that it failed
                 raise
             await self._internal_error(scope, receive, send_with_id)
         finally:
@@ -87,7 +89,7 @@ class RequestTelemetry:
                 request_id = str(value, "ascii")
             elif name == _TRACE_HEADER and trace is None:
                 trace = _trace_of(value)
-        # random for the process, and counted within it
+        # an id of ours is random per process, and counts within it
         record = RequestRecord(request_id or f"{self._process}{next(self._count):012x}", scope["method"], trace)
         attach_record(scope, record)
         return record
@@ -107,12 +109,12 @@ class RequestTelemetry:
 
 
 def id_header(record: RequestRecord) -> tuple[bytes, bytes]:
-    """Return the header that gives the request's id back."""
+    """Return the header with the request id."""
     return _ID_HEADER, record.request_id.encode()
 
 
 def _trace_of(value: bytes) -> tuple[str, str] | None:
-    """Return trace id and span id of a ``traceparent`` header; None where it is not valid."""
+    """Return trace id and span id of a ``traceparent`` header, or None if it is not valid."""
     found = _TRACE.fullmatch(value)
     if found and (len(value) == _TRACE_LENGTH or not value.startswith(b"00")):  # only later versions may be longer
         return found[1].decode(), found[2].decode()

@@ -1,7 +1,7 @@
 """Timings of the phases of a request, recorded where the work is done.
 
-The list of timings travels in a context variable, also into the threads that work for the request. Outside of a request,
-as in a command or a test, no list is set and the timings are dropped.
+A context variable holds the list of timings, also in the threads that work for the request. Outside of a request, as in
+a command or a test, no list is set and timings are dropped.
 """
 
 import time
@@ -16,7 +16,7 @@ _TIMINGS: Final[ContextVar[Timings | None]] = ContextVar("timings", default=None
 
 
 def collect_timings(timings: Timings) -> Token[Timings | None]:
-    """From here on, in this task and its threads, append each recorded (phase, seconds) to this list."""
+    """Collect in this list each (phase, seconds) that this task and its threads record from now on."""
     return _TIMINGS.set(timings)
 
 

@@ -1,7 +1,7 @@
 """Spans for OpenTelemetry (extra ``otel``): one per request, in the trace of its caller.
 
-A span has the route's template, the status, the request's id and the model that answered, never a path, a body or a key.
-This is the only module that imports OpenTelemetry. It is imported only when the operator sets an endpoint.
+A span has the template of the route, the status, the request id and the model that answered. It never has a path, a
+body or a key. Only this module imports OpenTelemetry, and it is imported only if the operator sets an endpoint.
 """
 
 from http import HTTPStatus
@@ -22,9 +22,9 @@ _TRACE_HEADERS: Final = frozenset((b"traceparent", b"tracestate"))
 
 
 def exporting(endpoint: str) -> TracerProvider:
-    """Create a provider that sends spans to a collector (OTLP over HTTP), in batches, from a thread of its own.
+    """Create a provider that sends spans to a collector (OTLP over HTTP) in batches, in a background thread.
 
-    If the collector is gone, spans are lost, and requests are answered as before.
+    If the collector cannot be reached, spans are lost and requests are answered as before.
     """
     provider = TracerProvider(
         resource=Resource.create({"service.name": "cazsl", "service.version": service.__version__})
@@ -34,7 +34,7 @@ def exporting(endpoint: str) -> TracerProvider:
 
 
 class Tracing:
-    """The ring around all others: a span for every request."""
+    """A ring around all others, which records a span for every request."""
 
     def __init__(self, app: ASGIApp, provider: TracerProvider) -> None:
         self._app = app

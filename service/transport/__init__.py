@@ -1,1 +1,8 @@
-"""."""
+"""Transport: from the bytes of a connection to an endpoint, and back.
+
+``endpoints`` is the one way from bytes to an answer, and ``fast_path`` takes it without the framework. ``connection``
+reads HTTP with the bounds of ``head_clock``, ``draining`` ends the server without losing a request, ``admission``
+bounds bodies and concurrent requests, ``keys`` checks API keys, ``threads`` runs work that would block the event loop,
+and ``problems`` encodes failures. Calls point downward: this package imports ``service.inference``,
+``service.schemas``, ``service.observability``, ``service.processors`` and ``service.errors``.
+"""
