@@ -2,25 +2,38 @@
 
 import platform
 from collections.abc import Mapping
+from typing import Protocol
 
 import service
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
 from service.observability.prometheus import Reading, Readings
-from service.transport.admission import Admission
-from service.transport.threads import ThreadPool
 
 Rows = list[tuple[tuple[str, ...], float]]
 
 
-def gauges(models: LoadedModels, readiness: Readiness, threads: ThreadPool, admission: Admission) -> Readings:
+class Traffic(Protocol):
+    """The counts of admitted requests; ``transport.admission.Admission`` keeps them."""
+
+    in_flight: int
+    held_bytes: int
+
+
+class Pool(Protocol):
+    """The counts of a thread pool; ``transport.threads.ThreadPool`` keeps them."""
+
+    jobs: int
+    threads: int
+
+
+def gauges(models: LoadedModels, readiness: Readiness, threads: Pool, admission: Traffic) -> Readings:
     """Return the readings of served models, readiness and requests in progress."""
     return Readings(
         (*_of_the_process(readiness, threads, admission), *_of_models(models, readiness), *_of_registry(models))
     )
 
 
-def _of_the_process(readiness: Readiness, threads: ThreadPool, admission: Admission) -> tuple[Reading, ...]:
+def _of_the_process(readiness: Readiness, threads: Pool, admission: Traffic) -> tuple[Reading, ...]:
     build = (service.__version__, platform.python_version())
     return (
         Reading(
