@@ -4,7 +4,7 @@ import ast
 import io
 import re
 import tokenize
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -43,7 +43,7 @@ class Prose:
         """Return the semicolons per thousand words."""
         return 1000.0 * self.text.count(";") / max(1, self.words)
 
-    def without_opening(self, openings: Sequence[str]) -> list[str]:
+    def without_opening(self, openings: Container[str]) -> list[str]:
         """Return the docstrings that start with none of these verbs and field terms; an article may stand before."""
         return [text for text in self.docstrings if not _opens_with(text, openings)]
 
@@ -66,7 +66,7 @@ def _comments(source: str) -> Iterator[str]:
             yield token.string.lstrip("# ")
 
 
-def _opens_with(text: str, openings: Sequence[str]) -> bool:
+def _opens_with(text: str, openings: Container[str]) -> bool:
     """Return whether the first word is one of these, or one of the first three words behind an article is."""
     words = [word.lower() for word in _WORD.findall(text.split("\n\n")[0].replace("`", ""))][:4]
     if not words or words[0] in QUESTIONS:
@@ -76,6 +76,6 @@ def _opens_with(text: str, openings: Sequence[str]) -> bool:
     return any(_is_form_of(word, openings) for word in words[:3])
 
 
-def _is_form_of(word: str, openings: Sequence[str]) -> bool:
+def _is_form_of(word: str, openings: Container[str]) -> bool:
     """Return whether a word is one of these, in the singular or the plural."""
     return any(form in openings for form in (word, word.removesuffix("s"), word.removesuffix("es")))
