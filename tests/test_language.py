@@ -52,7 +52,7 @@ def prose(request: pytest.FixtureRequest, project_root: Path) -> Prose:
 
 
 def test_prose_names_things_instead_of_asking_what_they_are(prose: Prose) -> None:
-    """At most 2 of 1,000 words are "what"."""
+    """At most 2 of 1,000 words are the question word."""
     assert prose.per_thousand("what") <= 2.0
 
 

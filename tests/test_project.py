@@ -1,4 +1,4 @@
-"""What the project says of itself is so."""
+"""The README, the changelog, the Makefile and the index of results agree with the code and the models."""
 
 import json
 import re
@@ -20,20 +20,20 @@ from tests.fakes import predict_push
 
 @pytest.fixture(scope="module")
 def readme(project_root: Path) -> str:
-    """The README."""
+    """Return the text of the README."""
     return (project_root / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
 def champions(project_root: Path) -> dict[str, Manifest]:
-    """The manifests of the models that serve by default."""
+    """Return the manifests of the champions that ship, by model name."""
     registry = Registry(project_root / "models")
     names = registry.names()
     return {name: registry.read(name, registry.resolve(ModelReference.parse(name))).manifest for name in names}
 
 
 def test_the_changelog_begins_with_this_version(project_root: Path) -> None:
-    """The top entry that is released is the version of the code."""
+    """The first released entry of the changelog has the version of the code."""
     found = re.search(r"^## \[(\d.*?)\]", (project_root / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
     assert found is not None
     assert found[1] == service.__version__
@@ -42,7 +42,7 @@ def test_the_changelog_begins_with_this_version(project_root: Path) -> None:
 def test_the_readmes_answer_is_the_models_answer(
     readme: str, project_root: Path, champions: dict[str, Manifest]
 ) -> None:
-    """The curl line's push, given to the model that serves it, gives the numbers that stand below it."""
+    """The shipped champion predicts the numbers that the README shows below its curl command."""
     body = json.loads(re.findall(r"-d '(\{.*\})'", readme)[0])
     answer: dict[str, Any] = json.loads(re.findall(r"```json\n(.*?)```", readme, re.DOTALL)[0])
     version = champions["push-indicator"].version
@@ -56,13 +56,13 @@ def test_the_readmes_answer_is_the_models_answer(
 
 
 def test_every_kind_of_context_has_a_model(champions: dict[str, Manifest]) -> None:
-    """What the service asks for by default is there."""
+    """A default model ships for every kind of context."""
     assert sorted(champions) == sorted(DEFAULT_MODELS.values())
 
 
 @pytest.mark.parametrize("name", DEFAULT_MODELS.values())
 def test_the_readmes_figures_are_the_manifests(readme: str, champions: dict[str, Manifest], name: str) -> None:
-    """The row of each model is what was measured when it was published."""
+    """The README's row of a model has the figures of its manifest."""
     manifest = champions[name]
     metrics, found = manifest.metrics["different-objects"], manifest.calibration["different-objects"]
     shares = " | ".join(f"{100 * share:.1f} %" for share in (found.coverage_50, found.coverage_90, found.coverage_95))
@@ -80,14 +80,14 @@ def test_knowing_the_object_is_worth_a_factor_of_two(champions: dict[str, Manife
 @pytest.mark.parametrize(
     "target", ["serve", "data", "train", "test", "check", "openapi", "lock", "image", "size", "sbom"]
 )
-def test_the_commands_that_the_project_speaks_of_exist(project_root: Path, target: str) -> None:
-    """Each make target is there and says what it does."""
+def test_every_documented_make_target_exists(project_root: Path, target: str) -> None:
+    """A documented target is in the Makefile, with a line of help."""
     makefile = (project_root / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}:.*## ", makefile, re.MULTILINE)
 
 
 def test_the_index_of_results_has_every_table_with_its_claims(project_root: Path) -> None:
-    """And says of each what its page says."""
+    """The row of a table has the claims and the epochs of its page."""
     results = project_root / "docs" / "results"
     rows = (results / "README.md").read_text(encoding="utf-8").splitlines()
     for page in sorted(results.glob("*/README.md")):
