@@ -1,4 +1,4 @@
-"""``create_app(settings, models)``: the composition of all parts, and nothing else."""
+"""Application: ``create_app(settings, models)`` composes all parts."""
 
 import asyncio
 import contextlib
@@ -44,25 +44,24 @@ _FIRST_POLL_S: Final = 2.0
 logger = logging.getLogger(__name__)
 
 DESCRIPTION = """\
-Where does an object end up when a robot pushes it, and how sure can we be? Give a pusher pose and what is known of the
-object; get a Gaussian over the object's pose after a straight push of 50 mm.
+Predicts the pose of an object after a robot pushes it, and the uncertainty of that pose. Send the pose of the pusher
+and a context of the object. The answer is a Gaussian over the pose of the object after a straight push of 50 mm.
 
-Units are SI: metres, radians. The frame is the object's pose before the push: origin at the centre of its core, x axis
-through the middle of side 1, y axis through the middle of side 2, counter-clockwise positive.
+Units are SI: metres and radians. The frame is the pose of the object before the push: origin at the centre of its core,
+x axis through the middle of side 1, y axis through the middle of side 2, counter-clockwise positive.
 """
 
 
 class Service(FastAPI):
     """The application: FastAPI inside, and our rings around it.
 
-    The rings stand outside of FastAPI rather than among its middleware, so that a request that they answer does not pay
-    for its machinery.
+    The rings are outside of FastAPI instead of among its middleware. A request that they answer costs no time there.
 
     Attributes:
-        parts: the parts that routes use.
+        parts: parts of the application that routes use.
         rings: the outermost ring.
-        requests: counts of requests, and of refusals before there is a request.
-        shortcut: answers single pushes for connections; None where every request must pass all rings.
+        requests: metrics of requests, and of refusals that happen before there is a request.
+        shortcut: answers single pushes for connections. None if every request must pass all rings.
     """
 
     parts: Parts
@@ -79,7 +78,7 @@ class Service(FastAPI):
         await super().__call__(scope, receive, send)
 
     def openapi(self) -> dict[str, Any]:
-        """Return the OpenAPI document, made once."""
+        """Return the OpenAPI document, which is made once."""
         return give_examples(open_inference.describe_infer(state_media_type(super().openapi())))
 
 
@@ -92,9 +91,9 @@ def create_app(
     """Compose the service over these models.
 
     Args:
-        settings: of the operator.
-        models: served by the app, which polls their registry.
-        log: of requests; standard error unless given.
+        settings: settings of the operator.
+        models: models to serve. The application polls their registry.
+        log: log of requests. None: standard error.
         trace: puts a ring around all others, such as ``tracing.Tracing``.
     """
     log = log or RequestLog()
@@ -107,9 +106,9 @@ def create_app(
         version=service.__version__,
         description=DESCRIPTION,
         lifespan=_lifespan(settings, models, readiness, threads, log),
-        docs_url=None,  # ours loads no file from another host
+        docs_url=None,  # our page loads no file from another host
         redoc_url=None,
-        redirect_slashes=False,  # a redirect would repeat the host that the request claimed
+        redirect_slashes=False,  # a redirect would repeat the host in the request
     )
     admission = Admission(FastPath(app.framework, endpoints), _limits(settings))
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
@@ -119,7 +118,7 @@ def create_app(
     install_error_handlers(app)
     telemetry = RequestTelemetry(admission, _internal_error, log, app.requests)
     app.rings = trace(telemetry)
-    if app.rings is telemetry:  # a ring around all requests must see all of them
+    if app.rings is telemetry:  # a ring around all others must see every request
         app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
     return app
 
@@ -129,13 +128,13 @@ def _lifespan(
 ) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        """Poll the registry before the first request, unless that takes long, and from then on."""
+        """Poll the registry before the first request, unless that takes long, and then at intervals."""
         polled = asyncio.Event()
         timers = [
             asyncio.create_task(_poll(models, settings.poll_interval_s, polled)),
             asyncio.create_task(_probe(readiness, settings.probe_interval_s)),
         ]
-        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers meanwhile, /readyz names it
+        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers, /readyz gives the reason
             await asyncio.wait_for(polled.wait(), _FIRST_POLL_S)
         yield
         for timer in timers:
@@ -150,7 +149,7 @@ def _lifespan(
 
 
 def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:
-    """Include every route. Those that predict or describe models require a key where the operator wants keys."""
+    """Include every route. Those that predict or describe models require a key if the operator wants keys."""
     guard = [Depends(may_predict)] if guarded else []
     refusals = (MissingKeyError, ForbiddenError) if guarded else ()
     app.include_router(docs_router(app.title))
@@ -175,23 +174,23 @@ def _limits(settings: Settings) -> AdmissionLimits:
 
 
 async def _poll(models: LoadedModels, interval_s: float, polled: asyncio.Event) -> None:
-    """Poll the registry for new versions and moved aliases at this interval, for as long as the app lives."""
+    """Poll the registry for new versions and moved aliases at this interval, until the application ends."""
     loop = asyncio.get_running_loop()
     while True:
         began = loop.time()
         try:
             await asyncio.to_thread(models.refresh)
-        except Exception:  # the outermost ring of this task: a bug must not end the polling unseen
+        except Exception:  # the outermost ring of this task: a bug must not end the polling silently
             logger.exception("refresh failed")
         if not polled.is_set():
             gc.collect()
-            gc.freeze()  # the objects of now stay: walking them again and again cost 5 us a push, and some pauses
+            gc.freeze()  # these objects stay: to traverse them at each collection costs 5 us per push, and pauses
             polled.set()
         await asyncio.sleep(max(0.0, began + interval_s - loop.time()))
 
 
 async def _probe(readiness: Readiness, interval_s: float) -> None:
-    """Run the self-check of every model at this interval, for as long as the app lives."""
+    """Run the self-check of every model at this interval, until the application ends."""
     while True:
         await asyncio.sleep(interval_s)
         try:

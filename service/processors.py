@@ -9,11 +9,11 @@ _CGROUP_CPU: Final = Path("/sys/fs/cgroup/cpu.max")
 
 
 def processors(cgroup_cpu: Path = _CGROUP_CPU) -> int:
-    """Return the container's quota, or the processors that the process is bound to if they are fewer; at least 1."""
+    """Return the quota of the container, or the number of processors that the process is bound to if that is lower."""
     bound = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     try:
         quota, period = cgroup_cpu.read_text(encoding="ascii").split()
         allowed = math.ceil(int(quota) / int(period))
-    except (OSError, ValueError):  # no cgroup, or "max"
+    except (OSError, ValueError):  # no cgroup, or no quota ("max")
         return bound
     return max(1, min(bound, allowed))

@@ -1,4 +1,4 @@
-"""Loading of a version: verify, create the predictor, run the self-check."""
+"""Load a version: verify it, create its predictor, run its self-check."""
 
 from service.model.loaded_model import LoadedModel
 from service.model.predictor import PredictorFactory

@@ -1,8 +1,8 @@
-"""Promotion of a version: gates, comparison with the champion, alias move; and the way back.
+"""Promotion of a version: run the gates, compare with the champion, move the alias. A rollback moves it back.
 
 A version must pass the physics gates of its domain, and its held-out figures must not be worse than those of the
-version that the alias names now. Figures are those of the manifests. They count as compared only where both versions
-were measured on the same data and set-up.
+version that the alias names now. The figures are those of the manifests. They are comparable only if both versions were
+measured on the same data and set-up.
 """
 
 import math
@@ -25,7 +25,7 @@ LEVELS: Final = (0.50, 0.90, 0.95)
 
 @dataclass(frozen=True)
 class Promotion:
-    """The outcome of a promotion: the verdict of every gate, and the alias move unless a gate refused it."""
+    """Outcome of a promotion: the verdict of every gate, and the event of the alias move unless a gate refused it."""
 
     verdicts: tuple[Verdict, ...]
     event: Event | None
@@ -50,15 +50,15 @@ def promote(
     """Run the gates on a version, then point an alias at it.
 
     Args:
-        registry: of the model.
+        registry: registry of the model.
         load: creates predictors.
-        name: of the model.
-        version: the candidate.
-        alias: the alias to move.
-        reason: kept in the history.
-        expect: the version that the alias must name at the instant of the move, ``NOWHERE`` for none. None: the version
+        name: name of the model.
+        version: version to promote, the candidate.
+        alias: alias to move.
+        reason: reason that the history keeps.
+        expect: version that the alias must name at the instant of the move, ``NOWHERE`` for none. None: the version
             that it named when the gates ran.
-        force: move although gates refuse. The history then keeps their figures.
+        force: move the alias although gates refuse. The history then keeps their figures.
 
     Raises:
         UnknownModelError: there is no such version.
@@ -70,17 +70,18 @@ def promote(
     current = registry.aliases(name).get(alias)
     candidate = load_version(registry, load, name, version)
     verdicts = tuple(judge(candidate, _champion(registry, load, name, current), registry.domain))
-    refused = Promotion(verdicts, None).refused
-    if refused and not force:
-        return Promotion(verdicts, None)
-    if refused:
-        reason = f"{reason} (forced past {', '.join(f'{v.gate} {v.figure:.3g} > {v.limit:.3g}' for v in refused)})"
+    stayed = Promotion(verdicts, None)
+    if stayed.refused and not force:
+        return stayed
+    if stayed.refused:
+        gates = ", ".join(f"{verdict.gate} {verdict.figure:.3g} > {verdict.limit:.3g}" for verdict in stayed.refused)
+        reason = f"{reason or 'no reason given'} (forced past {gates})"
     seen = expect if expect is not None else (current or NOWHERE)
     return Promotion(verdicts, registry.point_alias(name, alias, version, expect=seen, reason=reason))
 
 
 def roll_back(registry: Registry, name: str, alias: str, reason: str | None = None) -> Event:
-    """Point an alias back at the version that it named before. The version is verified; no gate runs.
+    """Point an alias back at the version that it named before. The version is verified, and no gate runs.
 
     Raises:
         UnknownModelError: the alias named no other version that is still there.
@@ -97,12 +98,12 @@ def roll_back(registry: Registry, name: str, alias: str, reason: str | None = No
 
 
 def judge(candidate: LoadedModel, champion: LoadedModel | None, domain: Domain) -> list[Verdict]:
-    """Return the verdict of every gate on a loaded version, which passed verification and self-check already."""
+    """Return the verdict of every gate on a loaded version, which has passed verification and self-check."""
     return [*domain.gates(candidate), *([] if champion is None else _figures(candidate, champion))]
 
 
 def _champion(registry: Registry, load: PredictorFactory, name: str, version: int | None) -> LoadedModel | None:
-    """Load the version to compare with. A version that does not load is no standard."""
+    """Load the version to compare with. A version that does not load is not compared."""
     try:
         return None if version is None else load_version(registry, load, name, version)
     except CazslError:
@@ -116,12 +117,12 @@ def _before(history: History, alias: str, current: int | None, versions: frozens
 
 
 def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]:
-    """Compare held-out likelihood and coverage, for each set-up of the champion."""
+    """Compare held-out likelihood and coverage for each set-up of the champion."""
     ours, theirs = candidate.manifest, champion.manifest
-    same = ours.data.sha256 == theirs.data.sha256  # a figure has the name of the set-up that it was measured on
+    same = ours.data.sha256 == theirs.data.sha256  # figures are named by the set-up that they were measured on
     for set_up in sorted(theirs.metrics):
         if not same or set_up not in ours.metrics:
-            meaning = f"{set_up}: measured on other data than version {theirs.version}, and so not comparable"
+            meaning = f"{set_up}: not measured on the data of version {theirs.version}, so not comparable"
             yield Verdict("held-out", False, math.inf, 0.0, meaning)
             continue
         nll, limit = ours.metrics[set_up].nll, theirs.metrics[set_up].nll
@@ -133,9 +134,9 @@ def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]
 
 
 def _coverage(set_up: str, ours: Calibration, theirs: Calibration, pushes: int) -> Verdict:
-    """Compare the distance of the coverage from its level, at the level where it is most beyond the champion's.
+    """Compare the distance of the coverage from its level, at the level where it exceeds that of the champion most.
 
-    Two standard errors of a share of that many pushes are allowed for chance.
+    The limit allows two standard errors of a share of this number of pushes.
     """
 
     def at(level: float, mine: float, other: float) -> tuple[float, float, float]:
@@ -145,7 +146,7 @@ def _coverage(set_up: str, ours: Calibration, theirs: Calibration, pushes: int) 
 
     levels = [at(*each) for each in zip(LEVELS, _levels(ours), _levels(theirs), strict=True)]
     figure, limit, level = max(levels, key=lambda each: each[0] - each[1])
-    meaning = f"{set_up}: distance of the coverage from {level:.0%}; may be {limit:.4f}"
+    meaning = f"{set_up}: distance of the coverage from {level:.0%}; limit {limit:.4f}"
     return Verdict("coverage", figure <= limit, figure, limit, meaning)
 
 

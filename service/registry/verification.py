@@ -1,6 +1,6 @@
-"""Verification of a version before anyone gets a byte of it: sizes, format, tensors, files, digests, signature.
+"""Verification of a version before any byte of it is used: sizes, format, tensors, files, digests, signature.
 
-Each file is read once, and the bytes that were compared are the bytes that are handed over.
+Each file is read once. The bytes that were compared are the bytes that are returned.
 """
 
 from dataclasses import dataclass
@@ -23,12 +23,12 @@ class VerifiedVersion:
     manifest: Manifest
     model: bytes
     card: str
-    files: dict[str, bytes]  # every file as it was read, the manifest among them
+    files: dict[str, bytes]  # every file as it was read, with the manifest
     signature: bytes | None
 
 
 class Signatures(Protocol):
-    """A check of signatures; ``service.registry.signing.TrustedKeys`` is one."""
+    """Verify signatures. ``service.registry.signing.TrustedKeys`` implements this protocol."""
 
     def check(self, files: dict[str, bytes], signature: bytes | None) -> None:
         """Accept the bytes of a version.
@@ -44,9 +44,9 @@ class Requirements:
     """Requirements of a registry for its versions.
 
     Attributes:
-        domain: whose tensors a version must declare.
-        signatures: the check of signatures; None where none is required.
-        max_model_bytes: largest model file that is read, in bytes.
+        domain: domain whose tensors a version must declare.
+        signatures: check of signatures. None: signatures are not required.
+        max_model_bytes: maximum bytes of a model file.
     """
 
     domain: Domain
@@ -58,7 +58,7 @@ def verify(storage: Storage, name: str, version: int, required: Requirements) ->
     """Read every file of a version and accept it.
 
     Raises:
-        BrokenModelError: names the file at fault, the value found and the value expected.
+        BrokenModelError: the version fails. The message names the file, the value found and the value expected.
     """
     content = storage.read(name, version, MANIFEST_FILE, MAX_MANIFEST_BYTES)
     manifest = parse_manifest(content, required.domain)

@@ -1,7 +1,8 @@
-"""Admission: whole bodies only, of bounded size and in bounded time, and a bounded number of requests at once.
+"""Admission: bodies are complete, of bounded size and in bounded time, and concurrent requests are bounded.
 
-Everything behind this ring gets its body in one piece. A slow client delays no other: its request counts as in flight
-only once its body is whole. A request over a limit is refused at once, so that the caller can go elsewhere.
+The rings behind this one get each body in one piece. A slow client delays no other client: its request counts as in
+flight only once its body is complete. A request over a limit is refused at once, so that its client can send it to
+another instance.
 """
 
 import asyncio
@@ -17,14 +18,14 @@ from service.transport.problems import problem_response
 
 @dataclass(frozen=True)
 class AdmissionLimits:
-    """Limits of one body, and of all requests at once.
+    """Limits of one body, and of all concurrent requests.
 
     Attributes:
-        body_bytes: largest body.
-        body_s: longest time until a body is whole, in s.
-        in_flight: most requests answered at once.
-        in_flight_per_caller: the same per caller; 0 for no limit.
-        held_bytes: most bytes of bodies held at once.
+        body_bytes: maximum bytes of a body.
+        body_s: maximum time until a body is complete, in s.
+        in_flight: maximum number of concurrent requests.
+        in_flight_per_caller: maximum number of concurrent requests of one caller. 0: no limit.
+        held_bytes: maximum bytes of all bodies in memory.
     """
 
     body_bytes: int
@@ -35,7 +36,7 @@ class AdmissionLimits:
 
 
 class WholeBody:
-    """A ``receive`` that gives a body that was read already, then the messages that follow it."""
+    """A body that was read already, as a ``receive`` of ASGI. Later calls give the messages that follow it."""
 
     __slots__ = ("_content", "_receive")
 
@@ -44,7 +45,7 @@ class WholeBody:
         self._receive = receive
 
     async def __call__(self) -> Message:
-        """Return the body, once."""
+        """Return the body, then the messages that follow."""
         if self._content is None:
             return await self._receive()
         content, self._content = self._content, None
@@ -52,9 +53,9 @@ class WholeBody:
 
 
 class BodyDeadline:
-    """The deadline of all tasks that read a body. One timer serves all, since a timer each costs more than reading.
+    """Deadline of all tasks that read a body. They share one timer, since a timer each would cost more than reading.
 
-    A late body is refused within a quarter of the limit, or a second, after the deadline.
+    A late body is refused at most a quarter of the limit, or a second, after the deadline.
     """
 
     def __init__(self, limit_s: float) -> None:
@@ -96,7 +97,7 @@ class BodyDeadline:
 
 
 class Admission:
-    """The ring that reads the body of every request within the limits, and counts the requests in flight."""
+    """A ring that reads the body of every request within the limits, and counts the requests in flight."""
 
     def __init__(self, app: ASGIApp, limits: AdmissionLimits) -> None:
         self._app = app
@@ -131,7 +132,7 @@ class Admission:
             self.held_bytes -= len(content)
 
     def check(self, scope: Scope) -> None:
-        """Admit a request that is answered at once, and so never counts as in flight.
+        """Admit a request that is answered at once, so that it never counts as in flight.
 
         Raises:
             OverloadedError, TooManyRequestsError: there are too many others.
@@ -143,7 +144,7 @@ class Admission:
             raise TooManyRequestsError(limits.in_flight_per_caller)
 
     def _caller(self, scope: Scope) -> object:
-        """Return the key of the caller, or its address; None where callers are not counted."""
+        """Return the key of the caller, or else its address. Return None if callers are not counted."""
         if not self._limits.in_flight_per_caller:
             return None
         return header(scope["headers"], b"authorization") or (scope["client"] or ("",))[0]
@@ -165,10 +166,10 @@ class Admission:
             del self._callers[caller]
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
-        """Return the whole body, counted among the held bytes; None when the client left.
+        """Return the complete body, counted among the held bytes, or None if the client left.
 
         Raises:
-            BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit. None of it is held any more.
+            BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit. Its bytes are no longer held.
         """
         limits = self._limits
         if declared_length(scope) > limits.body_bytes:
@@ -197,6 +198,6 @@ class Admission:
 
 
 def declared_length(scope: Scope) -> int:
-    """Return the declared length of the body in bytes; 0 where none is declared."""
+    """Return the declared length of the body in bytes, or 0 if none is declared."""
     length = header(scope["headers"], b"content-length")
     return int(length[:18]) if length is not None and length.isdigit() else 0

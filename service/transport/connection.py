@@ -1,11 +1,11 @@
-"""Connections of uvicorn with bounds where uvicorn has none, and with the shortcut for single pushes.
+"""Connections of uvicorn with bounds that uvicorn lacks, and with the shortcut for single pushes.
 
-``BoundedConnection`` bounds the head of a request and answers bytes that are not HTTP with a problem. ``ShortcutConnection``
-adds the shortcut: a plain single push is answered without ASGI. If anything on the connection is unusual, the request is
-passed to uvicorn unchanged, until its body is whole.
+``BoundedConnection`` bounds the head of a request, and answers bytes that are not HTTP with a problem.
+``ShortcutConnection`` adds the shortcut: a plain single push is answered without ASGI. If anything on the connection is
+unusual, the request is passed to uvicorn unchanged. That is possible until its body is complete.
 
-Head and body of an answer leave in one write. Between two, a ``kill -9`` would leave a client, or a proxy that could
-still have asked another instance, with half an answer.
+Head and body of an answer leave in one write. Between two writes, a ``kill -9`` would leave half an answer with a
+client, or with a proxy that could still have asked another instance.
 """
 
 import asyncio
@@ -22,11 +22,11 @@ from service.transport.head_clock import MAX_HEAD_BYTES, HeadClock
 from service.transport.problems import MEDIA_TYPE, problem_body
 
 CLOSE: Final = (b"connection", b"close")  # among the headers of every answer once the service is to end
-LINGER_S: Final = 0.25  # a request that was sent before its client saw the end has arrived by then
+LINGER_S: Final = 0.25  # by then a request has arrived that its client sent before it saw the end
 
 
 class PairedWrites:
-    """A transport that joins two successive writes: it holds the first until the second, or the end of the iteration."""
+    """A transport that joins two writes: it holds the first until the second, or until the end of the iteration."""
 
     def __init__(self, transport: asyncio.Transport, loop: asyncio.AbstractEventLoop) -> None:
         self._transport = transport
@@ -37,7 +37,7 @@ class PairedWrites:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Send together with the held bytes, or hold until the next write."""
+        """Send together with the held bytes, or hold these until the next write."""
         if self._held:
             held, self._held = self._held, b""
             self._transport.writelines((held, data))
@@ -46,12 +46,12 @@ class PairedWrites:
             self._loop.call_soon(self._send_held)
 
     def write_whole(self, data: bytes) -> None:
-        """Send a whole answer, after the held bytes."""
+        """Send a complete answer, after the held bytes."""
         self._send_held()
         self._transport.write(data)
 
     def close(self) -> None:
-        """Send the held bytes, and close."""
+        """Send the held bytes, then close."""
         self._send_held()
         self._transport.close()
 
@@ -62,24 +62,24 @@ class PairedWrites:
 
 
 class BoundedConnection(HttpToolsProtocol):
-    """An HTTP/1.1 connection whose heads arrive in time and are of bounded size."""
+    """A connection of HTTP/1.1 that bounds the heads of requests in time and in bytes."""
 
     head_s = 10.0
     refused: Callable[[str], None] = staticmethod(lambda code: None)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        """Start the clock."""
+        """Start the clock of heads."""
         self._writes = PairedWrites(transport, self.loop)
         super().connection_made(cast(asyncio.Transport, self._writes))
         self._clock = HeadClock(self.loop, self.head_s, self._on_late)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """End the clock."""
+        """Stop the clock."""
         self._clock.close()
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        """Read, and count the bytes of a head."""
+        """Read bytes, and count those of a head."""
         super().data_received(data)
         if self._awaits_head() and self._clock.add(len(data)):
             self._refuse(
@@ -95,45 +95,45 @@ class BoundedConnection(HttpToolsProtocol):
         self._clock.begin()
 
     def on_headers_complete(self) -> None:
-        """Pause the clock: the head is whole."""
+        """Pause the clock: the head is complete."""
         self._clock.pause()
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Take a part of a body, without the two copies that uvicorn makes of each."""
+        """Append a part of a body, without the two copies that uvicorn makes of each."""
         cycle: Any = self.cycle
         if not cycle.body:
-            cycle.body = b""  # which and a part are that part
+            cycle.body = b""  # to append a part to it makes no copy
         elif isinstance(cycle.body, bytes):
-            cycle.body = bytearray(cycle.body)  # to which many parts can be added
+            cycle.body = bytearray(cycle.body)  # grows with each part
         super().on_body(body)
 
     def on_response_complete(self) -> None:
-        """Await the next head. Until its first byte, uvicorn's own keep-alive bounds the connection."""
+        """Await the next head. Until its first byte, the keep-alive timer of uvicorn bounds the connection too."""
         self._clock.restart()
         super().on_response_complete()
 
     def shutdown(self) -> None:
-        """Answer the request that is on its way on an open connection, as the last on it."""
+        """Answer a request that is on its way on this open connection, as the last one, then close."""
         if self.cycle is None or self.cycle.response_complete:
             self.loop.call_later(LINGER_S, super().shutdown)
         else:
             super().shutdown()
 
     def send_400_response(self, msg: str) -> None:
-        """Answer bytes that are not HTTP."""
+        """Answer bytes that are not HTTP with a problem."""
         self._refuse(HTTPStatus.BAD_REQUEST, "malformed_request", "the request is not valid HTTP/1.1")
 
     def _awaits_head(self) -> bool:
         return True
 
     def _on_late(self) -> None:
-        """End the connection: its head is late."""
-        detail = f"head: received only a part within {self.head_s:g} s; accepted is a head within {self.head_s:g} s"
+        """Refuse a head that is late, and close."""
+        detail = f"head: received only a part within {self.head_s:g} s; accepted is all of it within {self.head_s:g} s"
         self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)
 
     def _refuse(self, status: HTTPStatus, code: str, detail: str) -> None:
-        """Write a problem and close. There is no request yet that the application could answer."""
+        """Write a problem and close. The application has no request yet that it could answer."""
         if self.transport.is_closing():
             return
         self.refused(code)
@@ -149,46 +149,46 @@ class BoundedConnection(HttpToolsProtocol):
 class ShortcutConnection(BoundedConnection):
     """A bounded connection whose plain single pushes are answered by the shortcut.
 
-    A request is with the shortcut in two states: ``_opened`` while its body arrives, ``_submitted`` until its answer.
+    The shortcut has a request in two states: ``_opened`` while its body arrives, then ``_submitted`` until its answer.
     """
 
     shortcut: Shortcut
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
-        """Begin without a request."""
+        """Open the connection, without a request."""
         self._opened: ShortcutRequest | None = None
         self._submitted = False
-        self._in_turn = True  # the client awaits each answer before its next request, and the service is not to end
+        self._in_turn = True  # the client awaits each answer before its next request, and the service is not ending
         super().connection_made(transport)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Pass an unfinished request to uvicorn, which logs that its client left."""
+        """Pass an incomplete request to uvicorn, which logs that its client left."""
         self._hand_over()
         super().connection_lost(exc)
 
     def on_message_begin(self) -> None:
-        """Begin a head. A client that does not await answers loses the shortcut: it could hold the event loop."""
+        """Begin a head. A client that does not await its answers loses the shortcut: it could hold the event loop."""
         if self._submitted:
             self._in_turn = False
             self.shortcut.flush()
-            self._unset_keepalive_if_required()  # set by that answer, though the connection is not idle
+            self._unset_keepalive_if_required()  # that answer started the timer, and the connection is not idle
         super().on_message_begin()
 
     def on_headers_complete(self) -> None:
-        """Open the request at the shortcut, or go on as uvicorn does."""
+        """Open a request of the shortcut, or pass the head to uvicorn."""
         self._opened = self._open()
         if self._opened is None:
             super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
-        """Take a part of a body."""
+        """Append a part of a body."""
         if self._opened is None:
             super().on_body(body)
         else:
             self._opened.body += body
 
     def on_message_complete(self) -> None:
-        """Submit the request: it is whole."""
+        """Submit the request to the shortcut: it is complete."""
         request, self._opened = self._opened, None
         if request is None:
             super().on_message_complete()
@@ -198,7 +198,7 @@ class ShortcutConnection(BoundedConnection):
         self.shortcut.answer(request, self._reply, lambda: self._leave(bytes(request.body)))
 
     def shutdown(self) -> None:
-        """Pass an unfinished request to uvicorn, and end as it does."""
+        """Pass an incomplete request to uvicorn, then end as uvicorn does."""
         self._in_turn = False
         self._hand_over()
         super().shutdown()
@@ -207,14 +207,14 @@ class ShortcutConnection(BoundedConnection):
         return self._opened is None
 
     def _on_late(self) -> None:
-        """Pass a request whose body is late to uvicorn: admission bounds bodies."""
+        """Pass a request with a late body to uvicorn: admission bounds bodies."""
         if self._opened is not None:
             self._hand_over()
         else:
             super()._on_late()
 
     def _open(self) -> ShortcutRequest | None:
-        """Return the request whose head is whole, unless something on this connection is unusual."""
+        """Return the request of a complete head, or None if anything on this connection is unusual."""
         parser = self.parser
         if (
             not self._in_turn
@@ -240,14 +240,14 @@ class ShortcutConnection(BoundedConnection):
         self.on_response_complete()
 
     def _hand_over(self) -> None:
-        """Pass a request whose body is not whole yet to uvicorn."""
+        """Pass an incomplete request to uvicorn."""
         request, self._opened = self._opened, None
         if request is not None:
             super().on_headers_complete()
             super().on_body(bytes(request.body))
 
     def _leave(self, body: bytes) -> None:
-        """Pass a whole request to uvicorn."""
+        """Pass a complete request to uvicorn."""
         self._submitted = False
         super().on_headers_complete()
         super().on_body(body)
@@ -260,9 +260,9 @@ def connection_class(
     """Return the class of connections, which uvicorn instantiates itself.
 
     Args:
-        head_s: longest time until a head is whole, in s.
+        head_s: longest time until a head is complete, in s.
         refused: called with the code of each refusal that happens before there is a request.
-        shortcut: answers plain single pushes; None where every request must pass all rings.
+        shortcut: answers plain single pushes. None if every request must pass all rings.
     """
     own: dict[str, Any] = {"head_s": head_s, "refused": staticmethod(refused)}
     if shortcut is None:

@@ -1,8 +1,8 @@
-"""uvicorn with an end that loses nothing.
+"""A server of uvicorn that ends without losing a request.
 
-On SIGTERM the service first says that it is not ready and asks clients to leave, answer by answer, while it goes on
-serving (``drain_s``); whoever routes to it has that long to notice. Then it closes its doors, finishes what is running
-(``grace_s``), and ends. A second SIGTERM, or Ctrl-C, skips the first part.
+After SIGTERM the service reports that it is not ready, and asks clients with each answer to close their connection,
+while it keeps serving (``drain_s``). A load balancer has that time to notice. Then the service stops accepting
+connections, finishes the running requests (``grace_s``) and ends. A second SIGTERM, or Ctrl-C, skips the first part.
 """
 
 import asyncio
@@ -22,7 +22,7 @@ _QUEUE_S: Final = 0.05
 
 
 class DrainingServer(uvicorn.Server):
-    """A server that goes on for a while after SIGTERM."""
+    """A server that keeps serving for some time after SIGTERM."""
 
     def __init__(self, config: uvicorn.Config, drain_s: float, draining: Callable[[], None]) -> None:
         super().__init__(config)
@@ -31,26 +31,26 @@ class DrainingServer(uvicorn.Server):
         self._closes_at: float | None = None
 
     def handle_exit(self, sig: int, frame: FrameType | None) -> None:
-        """A signal came; called in between of whatever runs."""
+        """Begin to drain, or to end. A signal calls this between any two steps of other code."""
         self._draining()
         if sig != signal.SIGTERM or self._closes_at is not None:
             super().handle_exit(sig, frame)
             return
         self._closes_at = time.monotonic() + self._drain_s
-        self.config.encoded_headers.append(CLOSE)  # from which uvicorn makes its headers anew, every second
+        self.config.encoded_headers.append(CLOSE)  # uvicorn makes its headers from these every second
         self.server_state.default_headers = [*self.server_state.default_headers, CLOSE]
 
     async def on_tick(self, counter: int) -> bool:
-        """Ten times a second: whether to close."""
+        """Return True, ten times a second, once the server is to close."""
         if self._closes_at is not None and time.monotonic() >= self._closes_at:
             self.should_exit = True
         return await super().on_tick(counter)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        """Close the doors; whoever stands in the queue before them is let in first, instead of being cut off."""
+        """Stop accepting connections. Those in the accept queue are accepted first, instead of being reset."""
         for server in self.servers:
             for listening in server.sockets:
                 with socket.socket(fileno=os.dup(listening.fileno())) as same:
-                    same.listen(0)  # from now on the kernel admits nobody: clients try again, and are refused
+                    same.listen(0)  # from now on the kernel queues no connection: clients try again, and are refused
         await asyncio.sleep(_QUEUE_S)
         await super().shutdown(sockets)

@@ -1,9 +1,9 @@
 """Endpoints: the one way from the bytes of a request to the bytes of its answer.
 
-An endpoint says how its requests are checked, read and asked of a model. ``Endpoints`` is the table of all of them with
-the means to answer: models, threads, micro-batches and API keys. Everybody who answers goes through it: the connection
-(single pushes), the ring in front of the framework, the framework's own routes, and the in-process client. A request,
-good or refused, is read once and its key checked once.
+An ``Endpoint`` declares how its requests are checked, read and turned into a query. ``Endpoints`` is the table of all
+endpoints, with the models, threads, micro-batches and API keys that an answer needs. All callers use it: the connection
+(single pushes), the ring in front of the framework, and the framework's own routes. The in-process client uses the
+endpoints themselves. A request, good or refused, is read once and its key is checked once.
 """
 
 import re
@@ -21,13 +21,13 @@ from service.transport.threads import ThreadPool
 
 R = TypeVar("R")
 Headers = Sequence[tuple[bytes, bytes]]
-LIGHT_BYTES: Final = 16 * 1024  # read in about the time that handing them to a thread takes
-LIGHT_PUSHES: Final = 256  # predicted in about the time that handing them to a thread takes
+LIGHT_BYTES: Final = 16 * 1024  # to read them takes about as long as to pass them to a thread
+LIGHT_PUSHES: Final = 256  # to predict them takes about as long as to pass them to a thread
 NO_PARAMETERS: Final[Mapping[str, str]] = {}
 
 
 class Weight(Enum):
-    """The cost of a request that was read, and so the place where it is answered."""
+    """Weight of a request that was read. It decides where the request is answered."""
 
     SINGLE = "one push: predicted in the micro-batch of this iteration of the event loop"
     LIGHT = "few contexts: encoded in the event loop; more than LIGHT_PUSHES pushes are predicted in a thread"
@@ -36,7 +36,7 @@ class Weight(Enum):
 
 @dataclass(frozen=True, slots=True)
 class HttpRequest:
-    """The parts of a request that decide its answer."""
+    """Request of HTTP, by the parts that decide its answer."""
 
     headers: Headers
     content: bytes
@@ -44,7 +44,7 @@ class HttpRequest:
 
 
 def header(headers: Headers, name: bytes) -> bytes | None:
-    """Return the first header of this name, in lower case as ASGI has it."""
+    """Return the first header of this name, which is in lower case as in ASGI, or None."""
     for key, value in headers:
         if key == name:
             return value
@@ -53,15 +53,15 @@ def header(headers: Headers, name: bytes) -> bytes | None:
 
 @dataclass(frozen=True, slots=True)
 class Endpoint(Generic[R]):
-    """A POST route that predicts.
+    """Endpoint: a POST route that predicts.
 
     Attributes:
-        path: its template, which is also its label in logs and metrics.
-        check: raises where the headers are not acceptable. Runs in the event loop, before the body is read.
-        read: the request of the body. Raises InvalidRequestError, MalformedBodyError and the like.
-        ask: the query of a request to the models, or an answer where no model is needed.
-        weigh: the weight of a request that was read.
-        is_read_quickly: whether the event loop may read this body; else a thread reads, encodes and predicts.
+        path: template of the path, which is also its label in logs and metrics.
+        check: checks the headers in the event loop, before the body is read. Raises a RequestError.
+        read: reads the request from the body. Raises a RequestError.
+        ask: returns the query of a request to one of the models, or an answer if no model is needed.
+        weigh: returns the weight of a request that was read.
+        is_read_quickly: returns True if the event loop may read this body. Otherwise a thread reads and predicts.
     """
 
     path: str
@@ -80,16 +80,16 @@ class Endpoint(Generic[R]):
         return self.answer_read(models, self.read(request))
 
     def answer_read(self, models: Snapshot, request: R) -> Answer:
-        """Ask, predict and encode in this thread, for a request that was read."""
+        """Ask, predict and encode a request that was read, in this thread."""
         asked = self.ask(models, request)
         return asked if isinstance(asked, Answer) else asked.answer()
 
 
 class Endpoints:
-    """The table of endpoints, and the means to answer.
+    """The table of endpoints, with the models, threads and keys that answers need.
 
     Attributes:
-        micro_batcher: predicts single pushes.
+        micro_batcher: predicts the single pushes of each event loop iteration.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Endpoints:
         return self._table[template]
 
     def find(self, path: str) -> tuple[Endpoint[Any], Mapping[str, str]] | None:
-        """Return the endpoint of a path, and the parameters of the path."""
+        """Return the endpoint of a path with the parameters in the path, or None."""
         endpoint = self._exact.get(path)
         if endpoint is not None:
             return endpoint, NO_PARAMETERS
@@ -147,11 +147,11 @@ class Endpoints:
             return await self.micro_batcher.answer(asked)
         if len(asked.pushers) <= LIGHT_PUSHES:
             return asked.answer()
-        # The runtime alone goes to the thread: Python code holds one lock in any thread, and passing it on costs time.
+        # Only the runtime goes to the thread: Python code needs the interpreter lock, and to exchange it costs time.
         return asked.encode(*await self._threads.run(asked.predict))
 
     def query_single(self, endpoint: Endpoint[Any], request: HttpRequest) -> Query | None:
-        """Return the query of a single push, to be submitted to the micro-batcher; None where it needs a thread.
+        """Return the query of a single push, to be submitted to the micro-batcher, or None if it needs a thread.
 
         The caller has checked the headers: only a plain request takes the shortcut.
 
@@ -171,7 +171,7 @@ class Endpoints:
 
 
 def _pattern(template: str) -> re.Pattern[str]:
-    """Return the pattern of a path template. A parameter is any text without a slash, as in the framework."""
+    """Return the pattern of a path template. A parameter matches any text without a slash, as in the framework."""
     parts = re.split(r"\{(\w+)\}", template)
     literals, names = parts[::2], parts[1::2]
     tail = "".join(f"(?P<{name}>[^/]+){re.escape(literal)}" for name, literal in zip(names, literals[1:], strict=True))

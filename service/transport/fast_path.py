@@ -1,7 +1,7 @@
-"""The fast path: requests to endpoints are answered here, without the web framework, and single pushes without ASGI.
+"""The fast path: answers requests to endpoints without the web framework, and single pushes without ASGI.
 
-``FastPath`` is the ring in front of the framework. It answers every request to an endpoint, and passes other requests
-on. ``Shortcut`` answers plain single pushes for connections, without the task and the messages that ASGI needs. Both use
+``FastPath`` is the ring in front of the framework. It answers requests to endpoints, and passes other requests on.
+``Shortcut`` answers plain single pushes for connections, without the task and the messages that ASGI needs. Both use
 the same ``Endpoints``, so their answers are the same to the byte.
 """
 
@@ -34,7 +34,7 @@ logger = logging.getLogger(__name__)
 
 
 class FastPath:
-    """The ring that answers requests to endpoints and passes other requests on to the framework."""
+    """A ring that answers requests to endpoints, and passes other requests to the framework."""
 
     def __init__(self, app: ASGIApp, endpoints: Endpoints) -> None:
         self._app = app
@@ -50,7 +50,7 @@ class FastPath:
         endpoint, parameters = found
         record = record_of(scope)
         record.route = endpoint.path
-        content = (await receive())["body"]  # whole: admission has read it
+        content = (await receive())["body"]  # all of it: admission has read it
         try:
             answer = await self._endpoints.answer(endpoint, HttpRequest(scope["headers"], content, parameters))
         except CazslError as error:
@@ -68,7 +68,7 @@ def note_answer(record: RequestRecord, answer: Answer) -> None:
 
 @dataclass(slots=True)
 class ShortcutRequest:
-    """A request that the shortcut may answer once its body is whole."""
+    """A request that the shortcut may answer once its body is complete."""
 
     scope: Scope
     began_s: float
@@ -76,11 +76,11 @@ class ShortcutRequest:
 
 
 class Shortcut:
-    """Answers plain single pushes for connections.
+    """The shortcut: answers plain single pushes for connections.
 
-    A connection that has read a whole request submits it, and gets the answer at the end of the iteration of the event
-    loop, together with all others of that iteration. If a head is unusual, or the push has an image, the request is
-    passed to the framework unchanged.
+    A connection submits a complete request, and gets the answer at the end of the event loop iteration, together with
+    the other pushes of that iteration. If a head is unusual, or the push has an image, the request is passed to the
+    framework unchanged.
     """
 
     def __init__(
@@ -93,20 +93,20 @@ class Shortcut:
         self._telemetry = telemetry
 
     def open(self, target: bytes, scope: Scope) -> ShortcutRequest | None:
-        """Return a request for the head of a POST to this target; None where the head is unusual."""
+        """Return the request of the head of a POST to this target, or None if the head is unusual."""
         if target != self._target or not _is_plain(scope["headers"]):
             return None
-        scope["path"] = self._endpoint.path  # uvicorn sets it only for requests that it passes on
+        scope["path"] = self._endpoint.path  # uvicorn sets it only for requests that it passes to the application
         return ShortcutRequest(scope, time.perf_counter()) if 0 < declared_length(scope) <= LIGHT_BYTES else None
 
     def answer(self, request: ShortcutRequest, reply: Reply, leave: Leave) -> None:
-        """Answer a whole request at the end of this iteration, or have it leave for the framework now.
+        """Answer a complete request at the end of this iteration, or pass it to the framework now by calling ``leave``.
 
-        Refusals too wait for the end of the iteration: a client that sends requests without awaiting answers must not
-        hold the event loop with refusals.
+        Refusals wait for the end of the iteration too: a client that sends many requests at once must not hold the
+        event loop with refusals.
         """
         content = bytes(request.body)
-        if _IMAGE in content or _ESCAPE in content:  # an image is decoded in a thread, so it is not even read here
+        if _IMAGE in content or _ESCAPE in content:  # an image is decoded in a thread, so it is not read here
             leave()
             return
         record = self._telemetry.begin(request.scope)
@@ -121,7 +121,7 @@ class Shortcut:
             self._endpoints.micro_batcher.submit(query, partial(self._settle, request, record, reply, query))
 
     def flush(self) -> None:
-        """Answer the requests that wait for the end of the iteration, now."""
+        """Answer the waiting requests now."""
         self._endpoints.micro_batcher.flush()
 
     def _query(self, scope: Scope, record: RequestRecord, content: bytes) -> Query | None:
@@ -132,7 +132,7 @@ class Shortcut:
     def _settle(
         self, request: ShortcutRequest, record: RequestRecord, reply: Reply, query: Query, outcome: Gaussian | Exception
     ) -> None:
-        """Answer with the outcome of a query."""
+        """Answer with the prediction of a query, or with its error."""
         if isinstance(outcome, Exception):
             self._refuse(request, record, reply, outcome)
             return
@@ -169,7 +169,7 @@ class Shortcut:
 
 
 def _is_plain(headers: Headers) -> bool:
-    """Return whether a JSON body is declared, and no header asks for a closer look."""
+    """Return True if the headers declare a JSON body and are otherwise usual."""
     is_json = False
     for name, value in headers:
         if name == b"content-type":

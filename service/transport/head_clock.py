@@ -1,4 +1,4 @@
-"""The clock of a connection: bounds the head of a request in time and in bytes."""
+"""The clock of a connection, which bounds the head of each request in time and in bytes."""
 
 import asyncio
 from collections.abc import Callable
@@ -9,9 +9,9 @@ _SLACK_S: Final = 0.01
 
 
 class HeadClock:
-    """Runs while a head is awaited, from the first byte or the end of the answer before, until the head is whole.
+    """Clock that runs while a head is awaited: from the last answer, or the first byte, until the head is complete.
 
-    Without it a client holds a connection for ever by sending headers slowly, or memory by sending them without end.
+    Without it, a client could hold a connection for ever by sending headers slowly, or memory by sending endless ones.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, limit_s: float, late: Callable[[], None]) -> None:
@@ -29,20 +29,20 @@ class HeadClock:
             self._since = self._loop.time()
 
     def restart(self) -> None:
-        """Await the next head, from now on."""
+        """Restart the clock: the next head is awaited from now on."""
         self._bytes = 0
         self._since = self._loop.time()
 
     def pause(self) -> None:
-        """Stop the clock: the head is whole."""
+        """Pause the clock: the head is complete."""
         self._since = None
 
     def close(self) -> None:
-        """End the clock with its connection. Its timer would hold the connection in memory."""
+        """Stop the clock with its connection. A timer left behind would hold the connection in memory."""
         self._timer.cancel()
 
     def add(self, count: int) -> bool:
-        """Count bytes that were read, and return whether the head has too many."""
+        """Count bytes that were read, and return True if the head has too many."""
         if self._since is None:
             return False
         self._bytes += count

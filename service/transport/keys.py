@@ -1,7 +1,7 @@
-"""API keys and their scopes. Off unless the operator names a file of keys, which is read again when it changes.
+"""API keys and their scopes. Keys are off unless the operator sets a file of keys, which is read again when it changes.
 
 A line holds a name, the scopes separated by commas, and the SHA-256 of the key in hex. ``#`` begins a comment. Keys are
-long and random (``cazsl keys new`` makes them), so that a plain digest cannot be reversed by guessing. If the file
+long and random (``cazsl keys new`` makes them), so a plain digest cannot be reversed by guessing. If the file
 cannot be read, or a line is not valid, no key is accepted.
 """
 
@@ -33,7 +33,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Grant:
-    """One key: its name, its scopes and its digest."""
+    """A key, by its name, its scopes and its digest."""
 
     name: str
     scopes: frozenset[Scope]
@@ -51,7 +51,7 @@ class Grant:
 
 
 class Keys:
-    """The keys of a file, as it is now."""
+    """Keys of a file, in its current state."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
@@ -60,15 +60,15 @@ class Keys:
 
     @property
     def wanted(self) -> bool:
-        """Return whether keys are required."""
+        """Return True if keys are required."""
         return self._path is not None
 
     def admit(self, authorization: bytes | None, scope: Scope) -> None:
         """Accept a request with this Authorization header for a scope.
 
         Raises:
-            MissingKeyError: it has no key, or an unknown one.
-            ForbiddenError: its key lacks the scope.
+            MissingKeyError: the header has no key, or an unknown one.
+            ForbiddenError: the key lacks the scope.
         """
         if self._path is None:
             return
@@ -76,7 +76,7 @@ class Keys:
         kind, _, key = (authorization or b"").partition(b" ")
         digest = _digest(key.strip())
         found = None
-        for grant in self._grants:  # all of them, in constant time: the duration must not depend on the key
+        for grant in self._grants:  # compare all, each in constant time: the duration must not depend on the key
             if hmac.compare_digest(grant.sha256, digest):
                 found = grant
         if kind.lower() != b"bearer" or found is None:
@@ -99,14 +99,14 @@ class Keys:
                 logger.error("keys cannot be read: no key is accepted", extra={"cause": str(error)})
             self._grants = ()
             if isinstance(error, OSError):
-                self._last_status = None  # it may come back as it was
+                self._last_status = None  # the file may come back unchanged
 
 
 def parse(text: str) -> tuple[Grant, ...]:
     """Parse a file of keys.
 
     Raises:
-        ValueError: a line is not valid. Names the line.
+        ValueError: a line is not valid. The message names the line.
     """
     grants = []
     for number, line in enumerate(text.splitlines(), start=1):

@@ -1,6 +1,6 @@
 """Answers to failures: ``application/problem+json`` (RFC 9457), and under ``/v2`` that protocol's ``{"error": text}``.
 
-They never hold a traceback, a path or the body.
+They never hold a traceback, a path of the server, or the body that was sent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,14 +19,14 @@ from service.schemas.problems import FaultBody, ProblemBody
 MEDIA_TYPE: Final = "application/problem+json"
 _HEADERS: Final[Mapping[HTTPStatus, Mapping[str, str]]] = {
     HTTPStatus.UNAUTHORIZED: {"WWW-Authenticate": "Bearer"},
-    HTTPStatus.REQUEST_TIMEOUT: {"Connection": "close"},  # the rest of the body is not awaited
+    HTTPStatus.REQUEST_TIMEOUT: {"Connection": "close"},  # the service does not await the rest of the body
     HTTPStatus.TOO_MANY_REQUESTS: {"Retry-After": "1"},
     HTTPStatus.SERVICE_UNAVAILABLE: {"Retry-After": "1"},
 }
 
 
 def problem_response(scope: Scope, error: CazslError) -> Response:
-    """Return the answer for an error of our tree. Its causes are logged, and not sent to the client."""
+    """Return the answer for an error of our tree. Its causes are not sent to the client."""
     faults = error.faults[:MAX_FAULTS] if isinstance(error, InvalidRequestError) else ()
     return render_problem(scope, error.status, error.code, error.title, str(error), faults, _HEADERS.get(error.status))
 
@@ -45,12 +45,12 @@ def render_problem(
     faults: Sequence[FieldFault] = (),
     headers: Mapping[str, str] | None = None,
 ) -> Response:
-    """Return the answer for a failure, and note its code in the record of the request."""
+    """Return the answer for a failure, and note the code in the record of the request."""
     record = record_of(scope)
     record.code = code
     if scope["path"].startswith("/v2"):
         if status == HTTPStatus.UNPROCESSABLE_ENTITY:
-            status = HTTPStatus.BAD_REQUEST  # the protocol has no other status for an invalid request
+            status = HTTPStatus.BAD_REQUEST  # the protocol has no other status for invalid requests
         return Response(orjson.dumps({"error": detail}), int(status), headers, media_type="application/json")
     content = problem_body(HTTPStatus(status), code, title, detail, faults, record.request_id)
     return Response(content, int(status), headers, media_type=MEDIA_TYPE)

@@ -1,8 +1,8 @@
 """The thread pool for work that would block the event loop: large batches and images.
 
 The pool is bounded in threads, in queue length and in time. It has one thread per available processor, less one for the
-event loop: onnxruntime takes one thread per call, more would only share processors, and a waiting event loop delays
-every client. A full queue refuses at once. A job that waits longer than the deadline is dropped if it has not begun.
+event loop: onnxruntime uses one thread per call, and a waiting event loop delays every client. A full queue refuses at
+once. A job that waits longer than the deadline is dropped, unless it has begun.
 """
 
 import asyncio
@@ -22,14 +22,19 @@ T = TypeVar("T")
 
 
 class ThreadPool:
-    """A bounded pool of threads with a deadline."""
+    """A pool of threads with a bounded queue and a deadline.
+
+    Attributes:
+        threads: number of threads.
+        jobs: jobs that run or wait for a thread.
+    """
 
     def __init__(self, threads: int, max_waiting: int, deadline_s: float) -> None:
         self.threads = threads
         self._pool: ThreadPoolExecutor | None = None
         self._max_jobs = threads + max_waiting
         self._deadline_s = deadline_s
-        self.jobs = 0  # in threads or waiting for one
+        self.jobs = 0
         self._counting = threading.Lock()
 
     async def run(self, function: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> T:
@@ -46,7 +51,7 @@ class ThreadPool:
         submitted = time.perf_counter()
 
         def work() -> T:
-            """Run the function in the thread, and record how long it was queued."""
+            """Run the function in the thread, and record the time in the queue."""
             record_timing("queue", time.perf_counter() - submitted)
             return function(*args, **kwargs)
 
@@ -54,11 +59,11 @@ class ThreadPool:
         result: asyncio.Future[T] = loop.create_future()
         job = self._pool.submit(contextvars.copy_context().run, work)
         self._count(+1)
-        # A job counts until its thread is free, which may be long after its caller has left.
+        # A job counts until its thread is free, which may be long after its client has left.
         job.add_done_callback(lambda _: self._count(-1))
         job.add_done_callback(lambda done: _pass_on(loop, result, done))
         try:
-            # wait_for and wrap_future cost a tenth of a millisecond beside work that fills the caches.
+            # wait_for and wrap_future would take a tenth of a millisecond beside work that fills the caches.
             async with asyncio.timeout(self._deadline_s):
                 return await result
         except TimeoutError as error:
@@ -67,7 +72,7 @@ class ThreadPool:
             job.cancel()  # has an effect only on a job that has not begun
 
     def _count(self, change: int) -> None:
-        """Change the number of jobs. Called from the thread of the event loop and from those of the pool."""
+        """Change the number of jobs. The event loop and the threads of the pool call this."""
         with self._counting:
             self.jobs += change
 
@@ -85,7 +90,7 @@ def _pass_on(loop: asyncio.AbstractEventLoop, result: asyncio.Future[T], done: F
 
 
 def _settle(result: asyncio.Future[T], done: Future[T]) -> None:
-    if result.done():  # its caller has left
+    if result.done():  # its client has left
         return
     error = done.exception()
     if error is None:
@@ -95,5 +100,5 @@ def _settle(result: asyncio.Future[T], done: Future[T]) -> None:
 
 
 def threads_beside_the_loop() -> int:
-    """Return the number of threads that may be busy while the event loop still finds a processor; at least 1."""
+    """Return the number of threads, at least 1, that leave a processor to the event loop."""
     return max(1, processors() - 1)
