@@ -1,11 +1,6 @@
-"""What a prediction is about: planar poses, object contexts, Gaussians. Units and frames are settled here.
+"""Object contexts: an object as its four sides or as a small view, and the index of each push's context.
 
-SI units: metres, radians, kilograms. The **object frame** sits at the object's pose before the push: origin at the
-centre of the core, x axis through the middle of side 1, y axis through the middle of side 2, counter-clockwise
-positive. A **pusher pose** is the pusher tip's position in that frame and the direction in which it will move; the
-push itself is the benchmark's: straight, constant speed, 50 mm. A **prediction** is the object's pose after the push,
-in the same frame. Angles going in may be any real number and are wrapped to (-pi, pi]; angles coming out are in it.
-
+Sides count counter-clockwise from the x axis of the object frame (see ``service.pushing.poses``).
 Standard library and numpy only.
 """
 
@@ -36,7 +31,7 @@ class Side:
     weight: str
 
     def bits(self) -> tuple[int, ...]:
-        """Shape one-hot, then weight one-hot: 4 + 5 values."""
+        """Return the shape one-hot, then the weight one-hot: 4 + 5 values."""
         return tuple(int(self.shape == digit) for digit in SHAPE_DIGITS) + tuple(
             int(self.weight == letter) for letter in WEIGHT_LETTERS
         )
@@ -44,20 +39,20 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class ObjectContext:
-    """An Omnipush object as its four sides, counter-clockwise from the object frame's x axis.
+    """An Omnipush object as its four sides, counter-clockwise from the x axis of the object frame.
 
-    Two texts of the same thing: the **descriptor** (``1a2b3c4a``) and the **indicator** (36 zeros and ones). Round
-    trips hold: ``from_descriptor(c.descriptor()) == c`` and ``from_indicator(c.indicator()) == c``.
+    It has two forms: the **descriptor** (``1a2b3c4a``) and the **indicator** (36 zeros and ones). Round trips hold:
+    ``from_descriptor(c.descriptor()) == c`` and ``from_indicator(c.indicator()) == c``.
     """
 
     sides: tuple[Side, Side, Side, Side]
 
     @classmethod
     def from_descriptor(cls, descriptor: str, where: str = "descriptor") -> Self:
-        """Parse four times shape digit, weight letter.
+        """Parse a descriptor: for each side a shape digit and a weight letter.
 
         Raises:
-            InvalidRequestError: names the side at fault and what it may be.
+            InvalidRequestError: the text is not a descriptor. The message names each faulty side.
         """
         if len(descriptor) != 2 * SIDES:
             accepted = "8 characters: four times a shape digit 1-4 and a weight letter a, b, c, B or C"
@@ -66,10 +61,10 @@ class ObjectContext:
 
     @classmethod
     def from_indicator(cls, indicator: Sequence[float], where: str = "indicator") -> Self:
-        """Parse 36 zeros and ones: for each side the shape one-hot (4), then the weight one-hot (5).
+        """Parse an indicator, 36 zeros and ones: for each side the shape one-hot (4), then the weight one-hot (5).
 
         Raises:
-            InvalidRequestError: names the side that has not exactly one shape and one weight.
+            InvalidRequestError: a side has not exactly one shape and one weight. The message names each such side.
         """
         if len(indicator) != INDICATOR_LENGTH:
             accepted = f"{INDICATOR_LENGTH} values: for each of {SIDES} sides, 4 for the shape and 5 for the weight"
@@ -107,26 +102,26 @@ class ObjectContext:
         return cls((first, second, third, fourth))
 
     def descriptor(self) -> str:
-        """The text form, 8 characters."""
+        """Return the descriptor, 8 characters."""
         return "".join(side.shape + side.weight for side in self.sides)
 
     def indicator(self) -> FloatArray:
-        """The 36 zeros and ones that the networks take, float32 [36]."""
+        """Return the indicator, float32 [36]."""
         return np.array([bit for side in self.sides for bit in side.bits()], dtype=np.float32)
 
     @property
     def kind(self) -> ContextKind:
-        """What a model must want to be given this."""
+        """Return the kind of this context."""
         return ContextKind.INDICATOR
 
     def tensor(self) -> FloatArray:
-        """What the networks take: the indicator."""
+        """Return the tensor that the networks take: the indicator, float32 [36]."""
         return self.indicator()
 
     def turned(self, quarter_turns: int) -> Self:
-        """The object turned by that many times +90 degrees in a frame that stays: its side 1 becomes side 2.
+        """Return the object turned by that many quarter turns (+90 degrees) in a fixed frame: side 1 becomes side 2.
 
-        Turning the object and the push alike turns the outcome alike: the symmetry that models are tested for.
+        Turning the object and the push turns the outcome by the same angle. Models are tested for this symmetry.
         """
         shift = quarter_turns % SIDES
         first, second, third, fourth = self.sides[-shift:] + self.sides[:-shift]
@@ -135,19 +130,19 @@ class ObjectContext:
 
 @dataclass(frozen=True, slots=True)
 class VisualContext:
-    """An object as a small top-down view: 32 x 32 grey levels, one byte each, row by row, 0..255 meaning 0..1.
+    """An object as a small top-down view: 32 x 32 grey levels, one byte each, row by row, 0..255 for 0..1.
 
-    Eight bits on purpose: trainer and service see the same numbers to the bit.
+    Levels have eight bits on purpose: trainer and service see the same numbers to the bit.
     """
 
     levels: bytes
 
     @classmethod
     def from_bytes(cls, levels: bytes, where: str = "visual") -> Self:
-        """Take 1,024 grey levels.
+        """Create a visual context from 1,024 grey levels.
 
         Raises:
-            InvalidRequestError: there are fewer or more.
+            InvalidRequestError: there are fewer or more levels.
         """
         if len(levels) != VISUAL_SIZE**2:
             accepted = f"{VISUAL_SIZE**2} bytes: {VISUAL_SIZE} rows of {VISUAL_SIZE} grey levels"
@@ -156,11 +151,11 @@ class VisualContext:
 
     @property
     def kind(self) -> ContextKind:
-        """What a model must want to be given this."""
+        """Return the kind of this context."""
         return ContextKind.VISUAL
 
     def tensor(self) -> FloatArray:
-        """What the networks take, float32 [1, 32, 32] in [0, 1]."""
+        """Return the tensor that the networks take, float32 [1, 32, 32] in [0, 1]."""
         grey = np.frombuffer(self.levels, dtype=np.uint8).astype(np.float32) / np.float32(255.0)
         return grey.reshape(1, VISUAL_SIZE, VISUAL_SIZE)
 
@@ -182,16 +177,16 @@ def index_contexts(
     where_contexts, where_index = fields
     if given is None:
         if contexts not in (1, pushes):
-            accepted = f"1, or {pushes}: one per push, or any number with context_index"
+            accepted = f"1 context, {pushes} contexts (one per push), or any number with context_index"
             raise InvalidRequestError.at(where_contexts, f"{contexts} contexts", accepted)
         return np.zeros(pushes, dtype=np.int64) if contexts == 1 else np.arange(pushes, dtype=np.int64)
     if len(given) != pushes:
         raise InvalidRequestError.at(where_index, f"{len(given)} values", f"{pushes} values: one per push")
-    index = np.asarray(given)  # of Python's integers where one is beyond int64
-    wrong = np.flatnonzero((index < 0) | (index >= contexts))
-    if len(wrong):
+    index = np.asarray(given)  # an array of Python integers if one is beyond int64
+    outside = np.flatnonzero((index < 0) | (index >= contexts))
+    if len(outside):
         received = "an index beyond the contexts"
-        raise InvalidRequestError.at(f"{where_index}.{wrong[0]}", received, f"0 to {contexts - 1}")
+        raise InvalidRequestError.at(f"{where_index}.{outside[0]}", received, f"0 to {contexts - 1}")
     return index.astype(np.int64)
 
 
@@ -200,7 +195,7 @@ def _names_of_ones(bits: Sequence[float], names: str) -> str:
 
 
 def _side_fault(side: Side) -> tuple[str, str] | None:
-    """What was received and what is accepted, where a side cannot be one."""
+    """Return the received and the accepted value of an invalid side, or None."""
     if side.shape not in SHAPE_DIGITS:
         return "an unknown shape", "1 concave, 2 triangular, 3 circular or 4 rectangular"
     if side.weight not in WEIGHT_LETTERS:

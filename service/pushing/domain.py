@@ -1,4 +1,4 @@
-"""Planar pushing as the domain of a registry: tensors and gates of push models."""
+"""Planar pushing as a domain for the registry: tensors and gates of push models."""
 
 from collections.abc import Iterable
 from typing import Final

@@ -1,4 +1,4 @@
-"""Quality of a visual context: blank, clipped, off centre, several objects; and its thumbnail."""
+"""Quality of a visual context: flags for a blank, clipped or off-centre view and several objects, and a thumbnail."""
 
 import io
 from collections.abc import Iterator
@@ -18,16 +18,16 @@ _SECOND_OBJECT_SHARE: Final = 0.05  # of the largest object's area
 
 
 class QualityFlag(StrEnum):
-    """What looks wrong in a picture; the prediction made from it may be worth little."""
+    """Flag of a fault in a picture. A prediction from such a picture may be poor."""
 
-    BLANK = "blank"  # nothing stands out
+    BLANK = "blank"  # no object stands out from the background
     CLIPPED = "clipped"  # the object touches the border
     OFF_CENTRE = "off_centre"  # the object's middle is not the picture's
     SEVERAL_OBJECTS = "several_objects"
 
 
 def quality_flags(context: VisualContext) -> tuple[QualityFlag, ...]:
-    """What is odd about a picture, judged on what the model sees of it."""
+    """Return the faults of a picture, judged on its visual context."""
     grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
     bright = grey > _threshold(grey)
     if grey.min() == grey.max() or grey[bright].mean() - grey[~bright].mean() < _LEAST_CONTRAST * 255:
@@ -45,17 +45,17 @@ def quality_flags(context: VisualContext) -> tuple[QualityFlag, ...]:
 
 
 def thumbnail_png(context: VisualContext) -> bytes:
-    """What the model sees as a PNG of 256 x 256, every level a block of 8 x 8 pixels."""
+    """Return a visual context as a PNG of 256 x 256 pixels, every level a block of 8 x 8."""
     grey = np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
     blocks = grey.repeat(_THUMBNAIL_SCALE, axis=0).repeat(_THUMBNAIL_SCALE, axis=1)
     buffer = io.BytesIO()
-    # from an array, which Pillow only looks at: for pixels of its own it would cut a kept block to this size
+    # Pillow reads the array in place. For pixels of its own it would cut a kept block of memory to this size.
     Image.fromarray(blocks).save(buffer, "PNG")
     return buffer.getvalue()
 
 
 def _threshold(grey: npt.NDArray[np.uint8]) -> int:
-    """The level that parts the darker from the brighter with the least spread within both (Otsu 1979)."""
+    """Return the level that divides dark from bright cells with the least spread within both (Otsu 1979)."""
     counts = np.bincount(grey.ravel(), minlength=256).astype(np.float64)
     below, sums = counts.cumsum(), (counts * np.arange(256)).cumsum()
     above = below[-1] - below
@@ -64,14 +64,14 @@ def _threshold(grey: npt.NDArray[np.uint8]) -> int:
 
 
 def _connected(bright: npt.NDArray[np.bool_]) -> Iterator[npt.NDArray[np.int64]]:
-    """The patches of cells that touch side to side, each (cells, 2)."""
-    left = {(int(row), int(column)) for row, column in np.argwhere(bright)}
-    while left:
-        patch, edge = [], [left.pop()]
+    """Yield the patches of cells that touch side to side, each (cells, 2)."""
+    remaining = {(int(row), int(column)) for row, column in np.argwhere(bright)}
+    while remaining:
+        patch, edge = [], [remaining.pop()]
         while edge:
             row, column = edge.pop()
             patch.append((row, column))
-            around = {(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)} & left
-            left -= around
-            edge += around
+            neighbours = {(row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)} & remaining
+            remaining -= neighbours
+            edge += neighbours
         yield np.array(patch)

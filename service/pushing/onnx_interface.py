@@ -1,4 +1,4 @@
-"""The ONNX interface of a push model: the tensors that its graph takes and gives."""
+"""ONNX interface of a push model: the input and output tensors of its graph."""
 
 from typing import Final
 
@@ -14,7 +14,7 @@ OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name i
 
 
 def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
-    """The inputs that a graph of this context kind must have, in order."""
+    """Return the inputs that a graph of this context kind must have, in order."""
     if kind is ContextKind.NONE:
         return (_PUSHER,)
     return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)

@@ -1,6 +1,7 @@
-"""Poses, angles and object contexts."""
+"""Object contexts: descriptor, indicator, visual context, and the index of each push's context."""
 
-import math
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,8 +10,7 @@ from hypothesis import strategies as st
 
 from service.errors import InvalidRequestError
 from service.model.tensors import ContextKind
-from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext, VisualContext
-from service.pushing.poses import wrap_angle
+from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext, VisualContext, index_contexts
 
 sides = st.tuples(st.sampled_from("134"), st.sampled_from("abc")) | st.tuples(st.just("2"), st.sampled_from("abcBC"))
 descriptors = st.lists(sides, min_size=4, max_size=4).map(
@@ -18,29 +18,9 @@ descriptors = st.lists(sides, min_size=4, max_size=4).map(
 )
 
 
-@given(st.floats(allow_nan=False, allow_infinity=False))
-def test_a_wrapped_angle_is_the_same_direction_in_the_half_open_interval(angle: float) -> None:
-    """Any finite angle ends up in (-pi, pi], pointing where it pointed."""
-    wrapped = wrap_angle(angle)
-    assert -math.pi < wrapped <= math.pi
-    exact = math.remainder(angle, 2 * math.pi)  # the IEEE remainder is exact, whatever the size
-    assert math.isclose(math.cos(wrapped), math.cos(exact), abs_tol=1e-12)
-    assert math.isclose(math.sin(wrapped), math.sin(exact), abs_tol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("angle", "expected"),
-    [(math.pi, math.pi), (-math.pi, math.pi), (3 * math.pi, math.pi), (0.5, 0.5), (2 * math.pi, 0.0)],
-    ids=["pi stays", "-pi is pi", "three half turns", "inside stays", "a whole turn is none"],
-)
-def test_angles_at_the_border_have_one_value(angle: float, expected: float) -> None:
-    """Both names of the same border direction become pi."""
-    assert wrap_angle(angle) == pytest.approx(expected, abs=1e-15)
-
-
 @given(descriptors)
-def test_descriptor_and_indicator_are_two_texts_of_one_object(descriptor: str) -> None:
-    """Both round trips hold."""
+def test_descriptor_and_indicator_are_two_forms_of_one_object(descriptor: str) -> None:
+    """Both round trips hold: an object is read back from its descriptor and from its indicator."""
     context = ObjectContext.from_descriptor(descriptor)
     assert context.descriptor() == descriptor
     assert context.indicator().shape == (INDICATOR_LENGTH,)
@@ -48,7 +28,7 @@ def test_descriptor_and_indicator_are_two_texts_of_one_object(descriptor: str) -
 
 
 def test_the_indicator_is_shape_then_weight_of_each_side() -> None:
-    """The bits of 1a2B3b4c stand where the contract puts them."""
+    """The indicator of 1a2B3b4c has for each side its shape one-hot, then its weight one-hot."""
     sides = ["1000 10000", "0100 00010", "0010 01000", "0001 00100"]
     expected = [int(bit) for bit in "".join(sides).replace(" ", "")]
     assert ObjectContext.from_descriptor("1a2B3b4c").indicator().tolist() == expected
@@ -56,7 +36,7 @@ def test_the_indicator_is_shape_then_weight_of_each_side() -> None:
 
 
 def test_an_object_turned_by_a_quarter_has_its_first_side_second() -> None:
-    """Turning counter-clockwise moves side 1 to where side 2 was."""
+    """A quarter turn counter-clockwise moves side 1 to the place of side 2."""
     context = ObjectContext.from_descriptor("1a2b3c4a")
     assert context.turned(1).descriptor() == "4a1a2b3c"
     assert context.turned(4) == context.turned(0) == context
@@ -77,7 +57,7 @@ def test_an_object_turned_by_a_quarter_has_its_first_side_second() -> None:
     ids=["too short", "empty", "shape 5", "weight d", "B on a concave side", "lone surrogate", "foreign digit"],
 )
 def test_a_descriptor_that_is_no_object_names_the_side(descriptor: str, where: str, received: str) -> None:
-    """The error says which side, what came and what would be taken."""
+    """An invalid descriptor is refused with the faulty side, the received and the accepted value."""
     with pytest.raises(InvalidRequestError) as caught:
         ObjectContext.from_descriptor(descriptor)
     assert [(fault.where, fault.received) for fault in caught.value.faults] == [(where, received)]
@@ -85,6 +65,7 @@ def test_a_descriptor_that_is_no_object_names_the_side(descriptor: str, where: s
 
 
 def _indicator(**changes: float) -> list[float]:
+    """Return the indicator of 1a2b3c4a with some bits changed."""
     bits: list[float] = ObjectContext.from_descriptor("1a2b3c4a").indicator().tolist()
     for place, value in changes.items():
         bits[int(place.removeprefix("bit"))] = value
@@ -105,21 +86,21 @@ def _indicator(**changes: float) -> list[float]:
     ids=["two shapes", "no shape", "two weights", "no weight", "a half", "B on a concave side", "35 values"],
 )
 def test_an_indicator_that_is_no_object_names_the_side(indicator: list[float], where: str, received: str) -> None:
-    """Exactly one shape and one weight per side, or the side is named."""
+    """A side without exactly one shape and one weight is refused by its number."""
     with pytest.raises(InvalidRequestError) as caught:
         ObjectContext.from_indicator(indicator)
     assert [(fault.where, fault.received) for fault in caught.value.faults] == [(where, received)]
 
 
 def test_every_faulty_side_is_named_at_once() -> None:
-    """A caller mends all sides in one round."""
+    """All faulty sides are named in one error."""
     with pytest.raises(InvalidRequestError) as caught:
         ObjectContext.from_indicator([0] * 36)
     assert [fault.where for fault in caught.value.faults] == [f"indicator side {number}" for number in (1, 2, 3, 4)]
 
 
 def test_a_visual_context_is_its_grey_levels_row_by_row() -> None:
-    """Byte 255 is 1, the second row begins at byte 32, and the kind is visual."""
+    """A visual context is 1,024 bytes, row by row, where 255 means 1. Its kind is visual."""
     view = VisualContext.from_bytes(bytes(range(256)) * 4)
     assert view.kind is ContextKind.VISUAL
     assert view.tensor().shape == (1, 32, 32)
@@ -130,6 +111,65 @@ def test_a_visual_context_is_its_grey_levels_row_by_row() -> None:
 
 @pytest.mark.parametrize("size", [0, 1023, 1025])
 def test_a_visual_context_of_another_size_is_refused(size: int) -> None:
-    """The message says how many bytes came and how many it must be."""
+    """A visual context of another size is refused with the received and the accepted number of bytes."""
     with pytest.raises(InvalidRequestError, match=rf"{size} bytes.*1024 bytes"):
         VisualContext.from_bytes(bytes(size))
+
+
+FIELDS = ("body.contexts", "body.context_index")
+as_list_or_array = pytest.mark.parametrize("container", [list, np.array], ids=["list", "array"])
+
+
+@pytest.mark.parametrize(
+    ("contexts", "pushes"), [(1, 1), (1, 4), (4, 4)], ids=["single", "one for all", "one per push"]
+)
+def test_an_index_that_is_left_out_follows_from_the_number_of_contexts(contexts: int, pushes: int) -> None:
+    """One context belongs to every push, and as many contexts as pushes belong to one push each."""
+    index = index_contexts(contexts, pushes, None, FIELDS)
+    assert index.dtype == np.int64
+    assert index.tolist() == ([0] * pushes if contexts == 1 else list(range(pushes)))
+
+
+@pytest.mark.parametrize("contexts", [0, 2, 5])
+def test_another_number_of_contexts_needs_an_index(contexts: int) -> None:
+    """Neither one context nor one per push is refused when the index is left out."""
+    with pytest.raises(InvalidRequestError) as caught:
+        index_contexts(contexts, 4, None, FIELDS)
+    (fault,) = caught.value.faults
+    assert (fault.where, fault.received) == ("body.contexts", f"{contexts} contexts")
+
+
+@as_list_or_array
+def test_an_index_names_the_context_of_each_push(container: Callable[[list[int]], Any]) -> None:
+    """An index from 0 is returned as int64, for lists and for arrays, with contexts in any order."""
+    index = index_contexts(3, 4, container([2, 0, 2, 1]), FIELDS)
+    assert index.dtype == np.int64
+    assert index.tolist() == [2, 0, 2, 1]
+
+
+@as_list_or_array
+@pytest.mark.parametrize("given", [[0, 1], [0, 1, 2, 0, 1]], ids=["too short", "too long"])
+def test_an_index_of_another_length_is_refused(container: Callable[[list[int]], Any], given: list[int]) -> None:
+    """An index that has not one value per push is refused with both numbers."""
+    with pytest.raises(InvalidRequestError) as caught:
+        index_contexts(3, 4, container(given), FIELDS)
+    (fault,) = caught.value.faults
+    assert (fault.where, fault.received) == ("body.context_index", f"{len(given)} values")
+    assert fault.accepted == "4 values: one per push"
+
+
+@as_list_or_array
+@pytest.mark.parametrize(
+    "value",
+    [3, -1, 2**62, -(2**63), 2**63, 2**64, -(2**70), 10**400],
+    ids=["one beyond", "negative", "large", "least of int64", "beyond int64", "beyond uint64", "below int64", "huge"],
+)
+def test_an_index_outside_the_contexts_is_refused_by_its_place(
+    container: Callable[[list[int]], Any], value: int
+) -> None:
+    """The first value that is not from 0 to the last context is refused by its place, however large it is."""
+    with pytest.raises(InvalidRequestError) as caught:
+        index_contexts(3, 4, container([0, 2, value, value]), FIELDS)
+    (fault,) = caught.value.faults
+    assert (fault.where, fault.accepted) == ("body.context_index.2", "0 to 2")
+    assert str(value) not in str(caught.value) or abs(value) < 4

@@ -1,4 +1,4 @@
-"""What a version must show before an alias may name it."""
+"""Physics gates: a version that breaks a law is refused by the gate of that law."""
 
 import math
 from dataclasses import dataclass, replace
@@ -17,7 +17,7 @@ from tests.fakes import draft_manifest
 
 @dataclass
 class Physics:
-    """Objects that move 10 mm away from a pusher that comes at them, a little more for each side of shape 1 it faces.
+    """A predictor whose objects move 10 mm away from the pusher, and further for each side of shape 1 that it faces.
 
     Each flaw breaks one law.
     """
@@ -32,21 +32,21 @@ class Physics:
         touches = (x * np.cos(angle) + y * np.sin(angle)) < 0.0
         if self.flaw == "no-contact":
             touches[:] = True
-        way = 0.010 * touches
+        motion = 0.010 * touches
         if context is not None and context_index is not None and context.shape[-1] == SIDES * BITS_PER_SIDE:
             concave = context.reshape(len(context), SIDES, BITS_PER_SIDE)[context_index, :, 0]
             facing = np.arctan2(y, x)[:, None] - np.arange(SIDES) * math.pi / 2.0
-            way = way * (1.0 + (concave * np.maximum(np.cos(facing), 0.0)).sum(axis=1))
+            motion = motion * (1.0 + (concave * np.maximum(np.cos(facing), 0.0)).sum(axis=1))
         if self.flaw == "angle-at-pi":
-            way = way * np.where(angle > 0.0, 3.0, 1.0)
-        mean = np.column_stack([way * np.cos(angle), way * np.sin(angle), np.zeros(len(x))])
+            motion = motion * np.where(angle > 0.0, 3.0, 1.0)
+        mean = np.column_stack([motion * np.cos(angle), motion * np.sin(angle), np.zeros(len(x))])
         if self.flaw == "turned":
             mean[:, 0] *= 2.0
         return mean.astype(np.float32), np.full((len(x), 3), 1e-3, dtype=np.float32)
 
 
 def model(flaw: str = "", kind: ContextKind = ContextKind.INDICATOR, manifest: Manifest | None = None) -> LoadedModel:
-    """A loaded model with honest statistics and an RMSE of a twentieth of a deviation."""
+    """Return a loaded model with the published output deviations and an RMSE of a twentieth of a deviation."""
     found = manifest or draft_manifest(kind=kind)
     metrics = {name: replace(figures, rmse=0.05) for name, figures in found.metrics.items()}
     normalisation = replace(found.normalisation, output_std=[0.0154, 0.0156, 0.215])
@@ -54,13 +54,13 @@ def model(flaw: str = "", kind: ContextKind = ContextKind.INDICATOR, manifest: M
 
 
 def refused(verdicts: list[Verdict]) -> list[str]:
-    """The gates that refused."""
+    """Return the names of the gates that refused."""
     return [verdict.gate for verdict in verdicts if not verdict.passed]
 
 
 @pytest.mark.parametrize("kind", [ContextKind.NONE, ContextKind.INDICATOR])
 def test_a_model_that_keeps_the_laws_passes(kind: ContextKind) -> None:
-    """The first version of a model has no champion to be measured against."""
+    """A model that breaks no law passes every gate with a small figure."""
     verdicts = list(physics_gates(model(kind=kind)))
     assert refused(verdicts) == []
     assert [verdict.gate for verdict in verdicts] == [
@@ -72,7 +72,7 @@ def test_a_model_that_keeps_the_laws_passes(kind: ContextKind) -> None:
 
 
 def test_a_visual_model_is_turned_by_turning_its_views() -> None:
-    """The views are those that it carries for its self-check."""
+    """A visual model is tested with the views of its self-check, which are turned as pictures."""
     verdicts = list(physics_gates(model(kind=ContextKind.VISUAL)))
     assert "turned" in [verdict.gate for verdict in verdicts]
     assert refused(verdicts) == []
@@ -80,7 +80,7 @@ def test_a_visual_model_is_turned_by_turning_its_views() -> None:
 
 @pytest.mark.parametrize("flaw", ["no-contact", "turned", "angle-at-pi"])
 def test_each_law_that_is_broken_is_refused_by_its_gate(flaw: str) -> None:
-    """With the figure and the limit in units of the outputs' deviations."""
+    """A model that breaks a law is refused by the gate of that law, with a figure over the limit."""
     verdicts = list(physics_gates(model(flaw)))
     assert flaw in refused(verdicts)
     verdict = next(verdict for verdict in verdicts if verdict.gate == flaw)

@@ -1,4 +1,4 @@
-"""From picture to visual context: how pixels become grey, how grey becomes 32 x 32, and what is flagged."""
+"""Images: the rules by which pixels become grey levels, and a picture becomes a visual context of 32 x 32."""
 
 import io
 import struct
@@ -14,8 +14,7 @@ from PIL import Image
 from skimage.transform import resize
 
 from service.errors import InvalidImageError
-from service.pushing.contexts import VISUAL_SIZE, VisualContext
-from service.pushing.image_quality import quality_flags, thumbnail_png
+from service.pushing.contexts import VISUAL_SIZE
 from service.pushing.images import (
     BACKGROUND_LEVEL,
     BODY_LEVEL,
@@ -27,39 +26,21 @@ from service.pushing.images import (
     visual_context,
 )
 from tests.attacks.hostile_images import png, png_chunk
+from tests.service.pushing.pictures import cells, noise
 
-Grey = npt.NDArray[np.uint8]
-# How a camera that says so has stored a picture whose corners are 0 1 above and 2 3 below.
+# Corners of a stored picture by its EXIF orientation. Those of the scene are 0 1 above and 2 3 below.
 CORNERS_BY_ORIENTATION = {1: "0123", 2: "1032", 3: "3210", 4: "2301", 5: "0213", 6: "1302", 7: "3120", 8: "2031"}
 
 
 def encode(image: Image.Image, file_format: str = "PNG", **options: Any) -> bytes:
-    """A picture as a file."""
+    """Return a picture as a file."""
     buffer = io.BytesIO()
     image.save(buffer, file_format, **options)
     return buffer.getvalue()
 
 
-def cells(context: VisualContext) -> Grey:
-    """The context as a picture."""
-    return np.frombuffer(context.levels, dtype=np.uint8).reshape(VISUAL_SIZE, VISUAL_SIZE)
-
-
-def noise(height: int, width: int, seed: int = 0) -> Grey:
-    """A picture without any structure."""
-    return np.random.default_rng(seed).integers(0, 256, (height, width), dtype=np.uint8)
-
-
-def scene(*boxes: tuple[int, int, int, int], side: int = 480) -> GreyImage:
-    """Grey boxes (top, left, bottom, right) on black."""
-    levels = np.zeros((side, side), dtype=np.uint8)
-    for top, left, bottom, right in boxes:
-        levels[top:bottom, left:right] = 128
-    return GreyImage(levels)
-
-
-def test_the_convention_says_what_the_constants_are() -> None:
-    """One text for manifests, one set of numbers for whoever draws."""
+def test_the_convention_states_the_constants() -> None:
+    """The convention in manifests states the numbers with which views are drawn."""
     middle = BODY_LEVEL + (1.0 - BODY_LEVEL) * 0.060 / FULL_LEVEL_MASS_KG
     for words in (
         f"{FIELD_OF_VIEW_M:.3f} m x {FIELD_OF_VIEW_M:.3f} m",
@@ -74,14 +55,14 @@ def test_the_convention_says_what_the_constants_are() -> None:
 @pytest.mark.parametrize("file_format", ["PNG", "WEBP"])
 @pytest.mark.parametrize("size", [(1, 1), (1, 7), (33, 20), (481, 481)])
 def test_a_lossless_grey_file_gives_its_own_levels(file_format: str, size: tuple[int, int]) -> None:
-    """Nothing is scaled, stretched or gamma-corrected on the way."""
+    """The levels of a lossless grey file are neither scaled, stretched nor gamma-corrected."""
     levels = noise(*size)
     content = encode(Image.fromarray(levels), file_format, **({"lossless": True} if file_format == "WEBP" else {}))
     assert np.array_equal(decode(content).levels, levels)
 
 
 def test_a_jpeg_gives_its_levels_within_its_own_loss() -> None:
-    """A smooth picture of quality 95 comes back within 3 of 255."""
+    """A smooth JPEG of quality 95 is read within 3 of 255 levels."""
     levels = np.add.outer(np.arange(100), np.arange(100)).astype(np.uint8)
     found = decode(encode(Image.fromarray(levels), "JPEG", quality=95)).levels
     assert np.abs(found.astype(int) - levels).max() <= 3
@@ -89,7 +70,7 @@ def test_a_jpeg_gives_its_levels_within_its_own_loss() -> None:
 
 @pytest.mark.parametrize("file_format", ["PNG", "WEBP"])
 def test_colour_becomes_luma(file_format: str) -> None:
-    """0.299 R + 0.587 G + 0.114 B, rounded."""
+    """A colour becomes 0.299 R + 0.587 G + 0.114 B, rounded."""
     colours = np.random.default_rng(1).integers(0, 256, (20, 20, 3), dtype=np.uint8)
     content = encode(Image.fromarray(colours), file_format, **({"lossless": True} if file_format == "WEBP" else {}))
     luma = colours @ np.array([0.299, 0.587, 0.114])
@@ -97,7 +78,7 @@ def test_colour_becomes_luma(file_format: str) -> None:
 
 
 def test_a_palette_is_looked_up_before_it_is_grey() -> None:
-    """The index is no level."""
+    """The colour of a palette becomes grey, not its index."""
     image = Image.new("P", (2, 1))
     image.putpalette([0, 0, 0, 255, 0, 0])
     image.putpixel((1, 0), 1)
@@ -105,7 +86,7 @@ def test_a_palette_is_looked_up_before_it_is_grey() -> None:
 
 
 def test_a_cmyk_jpeg_is_read_as_its_colours() -> None:
-    """Half black ink is middle grey."""
+    """A CMYK picture becomes RGB first: half black ink is middle grey."""
     image = Image.new("CMYK", (16, 16), (0, 0, 0, 128))
     assert np.abs(decode(encode(image, "JPEG", quality=100)).levels.astype(int) - 127).max() <= 1
 
@@ -113,7 +94,7 @@ def test_a_cmyk_jpeg_is_read_as_its_colours() -> None:
 @pytest.mark.parametrize("mode", ["LA", "RGBA"])
 @pytest.mark.parametrize("file_format", ["PNG", "WEBP"])
 def test_alpha_is_composited_onto_the_background(mode: str, file_format: str) -> None:
-    """Transparent is black, half transparent half as bright."""
+    """A transparent pixel is black, and a half transparent one is half as bright."""
     image = Image.new("RGBA", (3, 1))
     for column, alpha in enumerate((0, 128, 255)):
         image.putpixel((column, 0), (200, 200, 200, alpha))
@@ -133,13 +114,13 @@ def test_alpha_is_composited_onto_the_background(mode: str, file_format: str) ->
     ids=lambda value: getattr(value, "mode", ""),
 )
 def test_a_colour_declared_transparent_is_background(image: Image.Image, key: Any) -> None:
-    """In every kind of PNG that is taken with such a declaration."""
+    """The declared colour becomes black in every kind of PNG that is accepted with such a declaration."""
     assert decode(encode(image)).levels.max() > 0
     assert decode(encode(image, transparency=key)).levels.max() == 0
 
 
 def test_sixteen_bits_of_grey_are_kept() -> None:
-    """A 16-bit PNG loses nothing."""
+    """A grey PNG of 16 bits keeps every level."""
     levels = np.random.default_rng(2).integers(0, 65536, (9, 5), dtype=np.uint16)
     found = decode(encode(Image.fromarray(levels))).levels
     assert found.dtype == np.uint16
@@ -148,7 +129,7 @@ def test_sixteen_bits_of_grey_are_kept() -> None:
 
 @pytest.mark.parametrize(("colour", "values"), [(2, (0x80FF, 0x80FF, 0x80FF)), (4, (0x80FF, 0xFFFF))])
 def test_sixteen_bits_with_colour_or_alpha_are_read_by_their_upper_eight(colour: int, values: tuple[int, ...]) -> None:
-    """0x80FF counts as 0x80."""
+    """A level of 0x80FF is read as 0x80 in a picture of 16 bits with colour or alpha."""
     row = b"\0" + struct.pack(f">{len(values)}H", *values)
     content = png(1, 1, png_chunk(b"IDAT", zlib.compress(row)), depth=16, colour=colour)
     assert decode(content).levels.tolist() == [[0x80]]
@@ -159,7 +140,7 @@ def test_sixteen_bits_with_colour_or_alpha_are_read_by_their_upper_eight(colour:
     [(1, 0b01100000, [0, 255, 255, 0]), (2, 0b00011011, [0, 85, 170, 255]), (4, 0x5F, [85, 255])],
 )
 def test_few_bits_are_spread_over_the_whole_range(depth: int, byte: int, levels: list[int]) -> None:
-    """The brightest value is white, whatever the depth."""
+    """The brightest value is white at every depth."""
     row = b"\0" + bytes([byte])
     content = png(len(levels), 1, png_chunk(b"IDAT", zlib.compress(row)), depth=depth, colour=0)
     assert decode(content).levels.tolist() == [levels]
@@ -168,7 +149,7 @@ def test_few_bits_are_spread_over_the_whole_range(depth: int, byte: int, levels:
 @pytest.mark.parametrize("orientation", CORNERS_BY_ORIENTATION)
 @pytest.mark.parametrize("file_format", ["PNG", "JPEG", "WEBP"])
 def test_exif_orientation_is_undone(orientation: int, file_format: str) -> None:
-    """However the camera was held, top left is where it was in the scene."""
+    """A picture of any orientation is turned so that its corners are those of the scene."""
     corner_levels = {"0": 0, "1": 80, "2": 160, "3": 240}
     stored = [corner_levels[corner] for corner in CORNERS_BY_ORIENTATION[orientation]]
     blocks = np.kron(np.array(stored, dtype=np.uint8).reshape(2, 2), np.ones((16, 16), dtype=np.uint8))
@@ -182,7 +163,7 @@ def test_exif_orientation_is_undone(orientation: int, file_format: str) -> None:
 
 @pytest.mark.parametrize("side", [1, 2, 3, 16, 31, 32, 33, 47, 64, 100, 480, 481, 512, 1000])
 def test_the_reduction_is_that_of_scikit_image(side: int) -> None:
-    """Of default parameters, as the paper used it; within the rounding to 8 bits and a thousandth of a level."""
+    """The reduction equals scikit-image's default resize, within rounding to 8 bits and a thousandth of a level."""
     levels = noise(side, side)
     found = cells(visual_context(GreyImage(levels)))
     expected = 255 * resize(levels, (VISUAL_SIZE, VISUAL_SIZE))  # type: ignore[no-untyped-call]
@@ -192,12 +173,12 @@ def test_the_reduction_is_that_of_scikit_image(side: int) -> None:
 @pytest.mark.parametrize("side", [1, 20, 32, 481, 600])
 @pytest.mark.parametrize("level", [0, 1, 127, 254, 255])
 def test_an_even_picture_keeps_its_level(side: int, level: int) -> None:
-    """The weights sum to one, exactly."""
+    """An even picture of any size keeps its level, because the weights sum to exactly one."""
     assert set(visual_context(GreyImage(np.full((side, side), level, dtype=np.uint8))).levels) == {level}
 
 
 def test_halves_are_rounded_up() -> None:
-    """The middle of black and white, met exactly, is 128."""
+    """A level exactly between black and white is rounded up to 128."""
     levels = np.zeros((64, 64), dtype=np.uint8)
     levels[:, ::2] = 255  # the kernel of 64 to 32 pixels is symmetric about every pair
     assert set(cells(visual_context(GreyImage(levels)))[:, 5]) == {128}
@@ -206,7 +187,7 @@ def test_halves_are_rounded_up() -> None:
 @settings(max_examples=50, deadline=None)
 @given(st.integers(1, 90), st.integers(1, 90), st.integers(0, 1000))
 def test_the_same_picture_in_memory_and_as_a_file_gives_the_same_bytes(height: int, width: int, seed: int) -> None:
-    """An array of the trainer and an upload to the service: 8 bits, 16 bits, fractions, PNG and WebP."""
+    """An array (8 bits, 16 bits, fractions) and a file (PNG, WebP) of one picture have the same visual context."""
     levels = noise(height, width, seed)
     expected = visual_context(GreyImage.from_array(levels))
     for same in (
@@ -223,7 +204,7 @@ def test_the_same_picture_in_memory_and_as_a_file_gives_the_same_bytes(height: i
 
 @pytest.mark.parametrize("side", [97, 481, 1500])
 def test_the_order_of_summing_does_not_matter(side: int) -> None:
-    """Every sum is exact, so that no processor's way of adding changes a byte."""
+    """Every sum is exact, so the order in which a processor adds does not change a byte."""
     levels = np.random.default_rng(side).integers(0, 65536, (side, side), dtype=np.uint16)
     found = visual_context(GreyImage(levels))
     assert visual_context(GreyImage(np.asfortranarray(levels))) == found
@@ -232,7 +213,7 @@ def test_the_order_of_summing_does_not_matter(side: int) -> None:
 
 
 def test_a_longer_side_is_cropped_to_its_middle() -> None:
-    """An odd pixel goes from the right or the bottom."""
+    """A longer side is cropped evenly. An odd pixel goes from the right or the bottom."""
     square = noise(40, 40)
     for before, after in ((0, 0), (3, 3), (3, 4), (100, 101)):
         wide = np.pad(square, ((0, 0), (before, after)), constant_values=255)
@@ -241,7 +222,7 @@ def test_a_longer_side_is_cropped_to_its_middle() -> None:
 
 
 def test_turning_a_picture_turns_its_context() -> None:
-    """The reduction has no preferred direction."""
+    """Turning a picture by a quarter turns its visual context by a quarter."""
     levels = noise(481, 481)
     turned = cells(visual_context(GreyImage(np.ascontiguousarray(np.rot90(levels)))))
     assert np.array_equal(turned, np.rot90(cells(visual_context(GreyImage(levels)))))
@@ -260,41 +241,6 @@ def test_turning_a_picture_turns_its_context() -> None:
     ],
 )
 def test_an_array_that_is_no_picture_is_refused(array: npt.NDArray[Any], words: str) -> None:
-    """With what it is and what would be taken."""
+    """An array that is no picture is refused, and the error names its shape, type or range."""
     with pytest.raises(InvalidImageError, match=words):
         GreyImage.from_array(array, "here")
-
-
-@pytest.mark.parametrize(
-    ("image", "flags"),
-    [
-        (scene((160, 160, 320, 320)), ()),
-        (scene(), ("blank",)),
-        (GreyImage(np.full((50, 50), 255, dtype=np.uint8)), ("blank",)),
-        (GreyImage((noise(480, 480) // 16).astype(np.uint8)), ("blank",)),
-        (scene((230, 230, 235, 235)), ("blank",)),
-        (scene((0, 100, 480, 380)), ("clipped",)),
-        (scene((160, 0, 320, 160)), ("clipped", "off_centre")),
-        (scene((60, 60, 220, 220)), ("off_centre",)),
-        (scene((180, 180, 340, 340)), ()),
-        (scene((140, 60, 340, 220), (140, 260, 340, 420)), ("off_centre", "several_objects")),
-        (scene((120, 120, 360, 360), (20, 20, 80, 80)), ("several_objects",)),
-        (scene((120, 120, 360, 360), (20, 20, 30, 30)), ()),
-        (scene((100, 100, 220, 220), (220, 220, 380, 380)), ("off_centre", "several_objects")),
-    ],
-    ids=[
-        "middle", "black", "white", "dim noise", "a speck", "over the border", "at the side", "in a corner",
-        "10 px off", "two of a size", "a second one", "a crumb", "corner to corner",
-    ],
-)  # fmt: skip
-def test_what_looks_wrong_is_flagged(image: GreyImage, flags: tuple[str, ...]) -> None:
-    """Nothing for a good picture; each fault by its name, in a fixed order."""
-    assert quality_flags(visual_context(image)) == flags
-
-
-def test_the_thumbnail_shows_every_level_as_a_block() -> None:
-    """256 x 256, and reducing it by its blocks gives the context back."""
-    context = visual_context(GreyImage(noise(100, 100)))
-    found = decode(thumbnail_png(context)).levels
-    assert found.shape == (256, 256)
-    assert np.array_equal(found, np.kron(cells(context), np.ones((8, 8), dtype=np.uint8)))
