@@ -1,4 +1,4 @@
-"""The base of every body, and the reading of bodies: the one place where errors of pydantic become errors of ours."""
+"""Base of every body, and the reading of bodies. No other module turns errors of pydantic into errors of the tree."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -27,8 +27,8 @@ def parse_body(kind: type[B], content: bytes, prefix: tuple[str, ...] = _BODY) -
     """Read a body from its JSON in one pass.
 
     Raises:
-        MalformedBodyError: it is not JSON in UTF-8.
-        InvalidRequestError: a field is missing, unknown or not allowed. Names at most ``MAX_FAULTS`` of them.
+        MalformedBodyError: the content is not JSON in UTF-8.
+        InvalidRequestError: a field is missing, unknown or not allowed. The message names at most ``MAX_FAULTS``.
     """
     try:
         found: B = kind.__pydantic_validator__.validate_json(content)
@@ -38,10 +38,10 @@ def parse_body(kind: type[B], content: bytes, prefix: tuple[str, ...] = _BODY) -
 
 
 def parse_json(content: bytes) -> Any:
-    """Read a JSON document in UTF-8, to be given to ``validate_body``. NaN is let through: the fields refuse it.
+    """Parse a JSON document in UTF-8, for ``validate_body``. NaN is accepted here, and refused by the fields.
 
     Raises:
-        MalformedBodyError: it is not one.
+        MalformedBodyError: the content is not JSON in UTF-8.
     """
     try:
         return pydantic_core.from_json(content)
@@ -50,7 +50,7 @@ def parse_json(content: bytes) -> Any:
 
 
 def validate_body(kind: type[B], document: object, prefix: tuple[str, ...] = _BODY) -> B:
-    """Return a body from a document that was read already.
+    """Validate a document that ``parse_json`` returned.
 
     Raises:
         InvalidRequestError: see ``parse_body``.
@@ -62,7 +62,7 @@ def validate_body(kind: type[B], document: object, prefix: tuple[str, ...] = _BO
 
 
 def invalid_request(found: Sequence[Mapping[str, Any]], prefix: tuple[str, ...] = ()) -> InvalidRequestError:
-    """Return the errors of pydantic as an error of ours: ten faults at most, and never the value that was sent."""
+    """Return errors of pydantic as one error of the tree: at most ``MAX_FAULTS``, and never the value that was sent."""
     return InvalidRequestError([_fault(fault, prefix) for fault in found[:MAX_FAULTS]])
 
 
@@ -86,16 +86,16 @@ def _fault(found: Mapping[str, Any], prefix: tuple[str, ...]) -> FieldFault:
         received = f"the field {name}" if _SAFE_NAME.fullmatch(name) else "a field with an unusual name"
         return FieldFault(".".join(path), received, "the fields of the schema only, see /docs")
     if kind == "missing":
-        return FieldFault(".".join(path), "no value", "a value, it is required")
+        return FieldFault(".".join(path), "no value", "a value: the field is required")
     context = found.get("ctx") or {}
     if kind in ("too_short", "too_long") and "actual_length" in context:
         wanted = context.get("min_length", context.get("max_length"))
         return FieldFault(".".join(path), f"{context['actual_length']} values", f"{wanted} values")
-    return FieldFault(".".join(path), _in_words(found.get("input")), message.removeprefix("Input should be "))
+    return FieldFault(".".join(path), _describe(found.get("input")), message.removeprefix("Input should be "))
 
 
-def _in_words(value: Any) -> str:
-    """Describe a value: a number as it is, anything else by its type and length."""
+def _describe(value: Any) -> str:
+    """Describe a value by its type and length, and a number by itself."""
     match value:
         case None:
             return "null"

@@ -1,4 +1,4 @@
-"""What is known of an object, as clients tell it: text, bits, levels or a picture, to ``contract``."""
+"""Bodies of object contexts: descriptor, indicator, visual context or image, and their conversion to the domain."""
 
 import base64
 import binascii
@@ -14,16 +14,14 @@ from service.pushing.image_quality import quality_flags, thumbnail_png
 from service.pushing.images import decode, visual_context
 from service.schemas.body import Body
 
-INDICATOR_EXAMPLE = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+INDICATOR_EXAMPLE: Final = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
     "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
     "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
 )
-# what a model sees of the image that is the example in requests: a grey square in the middle, and its thumbnail
-_SEEN_EXAMPLE = base64.b64encode(bytes(256) + (bytes(8) + b"\x80" * 16 + bytes(8)) * 16 + bytes(256)).decode()
-
-
-_THUMBNAIL_EXAMPLE = (
+# the visual context of that image, and its thumbnail
+_VISUAL_EXAMPLE: Final = base64.b64encode(bytes(256) + (bytes(8) + b"\x80" * 16 + bytes(8)) * 16 + bytes(256)).decode()
+_THUMBNAIL_EXAMPLE: Final = (
     "iVBORw0KGgoAAAANSUhEUgAAAQAAAAEACAAAAAB5Gfe6AAABRklEQVR4nO3QgQkAIAwEMXVyR3cIhUNIBmiPHwMAAAAA"
     "AAAAAAAAAAAAAAD43bw9sB9ElP/Xi4ifGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZ"
     "oA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmg"
@@ -31,18 +29,16 @@ _THUMBNAIL_EXAMPLE = (
     "qBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA4A"
     "AAAAAAAAAAAAAAAAAAAAuHUAko8CAFqKhPgAAAAASUVORK5CYII="
 )
-
-
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
-# for the document only: our own words say which side is wrong, and why
-_DESCRIPTOR: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
-_INDICATOR: Final[dict[str, Any]] = {
+# Schemas of the OpenAPI document only. ``to_domain`` has the better error messages.
+_DESCRIPTOR_SCHEMA: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
+_INDICATOR_SCHEMA: Final[dict[str, Any]] = {
     "items": {"enum": [0, 1]},
     "contains": {"const": 1},
     "minContains": 2 * SIDES,
     "maxContains": 2 * SIDES,
 }
-_VISUAL: Final[dict[str, Any]] = {  # the text's rules mean nothing to rows, and those of rows nothing to a text
+_VISUAL_SCHEMA: Final[dict[str, Any]] = {  # keywords of texts do not apply to rows, nor those of rows to a text
     "contentEncoding": "base64",
     "pattern": f"^[A-Za-z0-9+/]{{{_VISUAL_TEXT_LENGTH - 2}}}==$",
     "minItems": VISUAL_SIZE,
@@ -52,40 +48,41 @@ _VISUAL: Final[dict[str, Any]] = {  # the text's rules mean nothing to rows, and
 
 
 def _one_form(schema: dict[str, Any]) -> None:
-    """Say in the document that exactly one of the fields is given, and is not null."""
+    """Add to the schema that exactly one of the fields is given, and is not null."""
     schema["oneOf"] = [
         {"required": [form], "properties": {form: {"not": {"type": "null"}}}} for form in schema["properties"]
     ]
 
 
 class VisualContextBody(Body):
-    """What a model sees of an image, to be used again, and what looks wrong in it."""
+    """Visual context of an image, to be sent instead of it, a thumbnail, and the faults of the image."""
 
     visual: Annotated[
         str,
         Field(
-            description="base64 of 1,024 grey levels, row by row: the field visual of a context",
-            examples=[_SEEN_EXAMPLE],
+            description="base64 of 1,024 grey levels, row by row: a value for the field visual of a context",
+            examples=[_VISUAL_EXAMPLE],
         ),
     ]
     thumbnail_png: Annotated[
         str,
         Field(
-            description="base64 of a PNG of 256 x 256 pixels: what the model sees, to be looked at",
+            description="base64 of a PNG of 256 x 256 pixels that shows the visual context to a person",
             examples=[_THUMBNAIL_EXAMPLE],
         ),
     ]
     flags: Annotated[
         list[str],
         Field(
-            description="what looks wrong: blank, clipped, off_centre, several_objects; then do not trust it far",
+            description="faults of the image: blank, clipped, off_centre, several_objects. With any of them "
+            "predictions may be poor.",
             examples=[[]],
         ),
     ]
 
 
 class ContextBody(Body):
-    """What is known of the object, in exactly one form."""
+    """Object context in exactly one form: descriptor, indicator, visual or image."""
 
     model_config = ConfigDict(json_schema_extra=_one_form)
 
@@ -93,9 +90,9 @@ class ContextBody(Body):
         str | None,
         Field(
             description="four sides, each a shape digit (1 concave, 2 triangular, 3 circular, 4 rectangular) and a "
-            "weight letter (a none, b 60 g, c 150 g; B 60 g, C 150 g in a triangle's second position)",
+            "weight letter (a none, b 60 g, c 150 g, or B 60 g, C 150 g in the second position of a triangle)",
             examples=["1a2b3c4a"],
-            json_schema_extra=_DESCRIPTOR,
+            json_schema_extra=_DESCRIPTOR_SCHEMA,
         ),
     ] = None
     indicator: Annotated[
@@ -105,24 +102,23 @@ class ContextBody(Body):
             max_length=INDICATOR_LENGTH,
             description="36 zeros and ones: for each of four sides the shape one-hot (4), then the weight one-hot (5)",
             examples=[INDICATOR_EXAMPLE],
-            json_schema_extra=_INDICATOR,
+            json_schema_extra=_INDICATOR_SCHEMA,
         ),
     ] = None
     visual: Annotated[
         str | list[list[float]] | None,
         Field(
-            description="the visual context itself: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
-            "in [0, 1]; POST /v1/contexts makes one of an image",
+            description="a visual context: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
+            "in [0, 1]. POST /v1/contexts makes one from an image.",
             examples=["AAAA" * (_VISUAL_TEXT_LENGTH // 4 - 1) + "AA=="],
-            json_schema_extra=_VISUAL,
+            json_schema_extra=_VISUAL_SCHEMA,
         ),
     ] = None
-
     image: Annotated[
         str | None,
         Field(
-            description="base64 of a top-down view as PNG, JPEG or WebP, converted to the visual context; POST "
-            "/v1/predict/image takes the file as it is",
+            description="base64 of a top-down view as PNG, JPEG or WebP, which is converted to the visual context. "
+            "POST /v1/predict/image takes the file itself.",
             examples=[IMAGE_EXAMPLE],
             json_schema_extra={"contentEncoding": "base64"},
         ),
@@ -130,21 +126,22 @@ class ContextBody(Body):
 
     @property
     def only_descriptor(self) -> str | None:
-        """The descriptor, where that is the one form given: the form that is known by heart."""
+        """Return the descriptor if it is the only form given, else None. Its tensor can be cached."""
         others = (self.indicator, self.visual, self.image)
         return self.descriptor if others == (None, None, None) else None
 
     def to_domain(self, where: str = "body.context") -> ObjectContext | VisualContext:
-        """The object.
+        """Return the object context. Blocking if it is an image, which is decoded.
 
         Raises:
-            InvalidRequestError: not exactly one form, or a form that cannot be one.
-            ImageTooLargeError, UnsupportedImageError: as ``images.decode``.
+            InvalidRequestError: there is not exactly one form, or its value is not valid.
+            ImageTooLargeError, UnsupportedImageError: see ``images.decode``.
         """
-        given = [name for name in _FORMS if getattr(self, name) is not None]
+        forms = type(self).model_fields
+        given = [name for name in forms if getattr(self, name) is not None]
         if len(given) != 1:
             received = " and ".join(given) or "no form"
-            raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(_FORMS)}")
+            raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(forms)}")
         if self.descriptor is not None:
             return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
         if self.indicator is not None:
@@ -156,11 +153,8 @@ class ContextBody(Body):
         return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual")
 
 
-_FORMS: Final = tuple(ContextBody.model_fields)
-
-
 def describe_context(context: VisualContext) -> VisualContextBody:
-    """Return a visual context with its thumbnail and its quality flags."""
+    """Return the body of a visual context, with its thumbnail and its quality flags."""
     return VisualContextBody(
         visual=base64.b64encode(context.levels).decode(),
         thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
@@ -169,10 +163,10 @@ def describe_context(context: VisualContext) -> VisualContextBody:
 
 
 def _decode_base64(text: str, where: str) -> bytes:
-    """The bytes that a text stands for.
+    """Decode base64.
 
     Raises:
-        InvalidRequestError: it is not base64 with its padding.
+        InvalidRequestError: the text is not base64 with its padding.
     """
     try:
         return base64.b64decode(text, validate=True)
@@ -182,7 +176,11 @@ def _decode_base64(text: str, where: str) -> bytes:
 
 
 def _levels(rows: list[list[float]], where: str) -> bytes:
-    """Grey levels of rows of numbers in [0, 1]."""
+    """Convert 32 rows of 32 numbers in [0, 1] to grey levels, one byte each.
+
+    Raises:
+        InvalidRequestError: the rows have another shape, or a number is outside [0, 1].
+    """
     if len(rows) != VISUAL_SIZE or any(len(row) != VISUAL_SIZE for row in rows):
         received = f"{len(rows)} rows"
         raise InvalidRequestError.at(where, received, f"{VISUAL_SIZE} rows of {VISUAL_SIZE} numbers")

@@ -1,4 +1,4 @@
-"""Bodies of the health routes."""
+"""Bodies of the health routes: liveness and readiness."""
 
 from typing import Annotated, Literal
 
@@ -8,49 +8,55 @@ from service.schemas.body import Body
 
 
 class LiveBody(Body):
-    """The process answers."""
+    """Process is alive: it answers."""
 
     live: Annotated[Literal[True], Field(description="always true", examples=[True])] = True
 
 
 class ModelCheckBody(Body):
-    """One version that is loaded."""
+    """Check of one loaded version."""
 
-    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
-    version: Annotated[int, Field(description="its version", examples=[1])]
-    ready: Annotated[bool, Field(description="its last tiny inference was right", examples=[True])]
+    name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
+    version: Annotated[int, Field(description="number of the version", examples=[1])]
+    ready: Annotated[bool, Field(description="the last test prediction of this version was correct", examples=[True])]
     reason: Annotated[
         str | None,
-        Field(description="why it cannot be asked", examples=["a tiny inference did not end within 10 s"]),
+        Field(description="why this version is not ready", examples=["a tiny inference did not end within 10 s"]),
     ] = None
 
 
 class ReadyBody(Body):
-    """Whether predictions can be answered, and what is wrong with the registry where something is."""
+    """Readiness: whether the service can answer predictions, and the problems of the registry."""
 
     ready: Annotated[
         bool,
-        Field(description="a model is loaded, passed all checks and answers; SIGTERM has not come", examples=[True]),
+        Field(
+            description="true if a model is loaded, passed all checks and answers, and no SIGTERM was received",
+            examples=[True],
+        ),
     ]
     reason: Annotated[
         str | None,
         Field(
-            description="why not, and what is being done about it",
+            description="why the service is not ready, and how it tries to become ready",
             examples=["not ready, looking again every 2 s, because the registry holds no model"],
         ),
     ] = None
     checks: Annotated[
         list[ModelCheckBody],
         Field(
-            description="every version that is loaded",
+            description="the check of every loaded version",
             examples=[[{"name": "push-indicator", "version": 1, "ready": True, "reason": None}]],
         ),
     ]
-    models: Annotated[dict[str, list[int]], Field(description="versions served", examples=[{"push-indicator": [1]}])]
+    models: Annotated[
+        dict[str, list[int]],
+        Field(description="versions that are served, by model", examples=[{"push-indicator": [1]}]),
+    ]
     problems: Annotated[
         list[str],
         Field(
-            description="why something published is not served; what was served before goes on being served",
+            description="published versions that are not served, with the reason. Versions served before stay served.",
             examples=[["push-indicator@2 is broken and not served: model.onnx: the sha256 differs"]],
         ),
     ]

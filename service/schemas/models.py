@@ -1,4 +1,4 @@
-"""Bodies that describe served models and versions."""
+"""Bodies of the catalogue: the models and versions that are served."""
 
 from typing import Annotated, Any
 
@@ -16,34 +16,36 @@ _MODEL_EXAMPLE = {
 
 
 class ModelVersionBody(Body):
-    """Which model answered."""
+    """Model version that answered."""
 
-    name: Annotated[str, Field(description="name in the registry", examples=["push-indicator"])]
-    version: Annotated[int, Field(ge=1, description="version, immutable", examples=[1])]
+    name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
+    version: Annotated[int, Field(ge=1, description="number of the version, which never changes", examples=[1])]
 
 
 class ModelBody(Body):
-    """A model as it is served now."""
+    """Model that is served, with its versions and aliases."""
 
-    name: Annotated[str, Field(description="name in the registry", examples=["push-indicator"])]
-    method: Annotated[str, Field(description="row of the paper's tables", examples=["FCN + CM + L2Reg"])]
-    context_kind: Annotated[str, Field(description="what it wants to know of the object", examples=["indicator"])]
-    versions: Annotated[list[int], Field(description="versions served, oldest first", examples=[[1, 2]])]
-    aliases: Annotated[dict[str, int], Field(description="what each alias means", examples=[{"champion": 2}])]
+    name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
+    method: Annotated[str, Field(description="method, a row of the paper's tables", examples=["FCN + CM + L2Reg"])]
+    context_kind: Annotated[
+        str, Field(description="kind of context that it takes: none, indicator or visual", examples=["indicator"])
+    ]
+    versions: Annotated[list[int], Field(description="versions that are served, oldest first", examples=[[1, 2]])]
+    aliases: Annotated[dict[str, int], Field(description="version that each alias names", examples=[{"champion": 2}])]
 
 
 class ModelsBody(Body):
-    """Every model that is served."""
+    """Models that are served."""
 
-    models: Annotated[list[ModelBody], Field(description="sorted by name", examples=[[_MODEL_EXAMPLE]])]
+    models: Annotated[list[ModelBody], Field(description="models, sorted by name", examples=[[_MODEL_EXAMPLE]])]
 
 
 class ModelVersionDetailBody(Body):
-    """One version: its manifest and its card."""
+    """Model version with its manifest and its card."""
 
-    name: Annotated[str, Field(description="name in the registry", examples=["push-indicator"])]
-    version: Annotated[int, Field(ge=1, description="version, immutable", examples=[1])]
-    aliases: Annotated[list[str], Field(description="aliases that mean this version now", examples=[["champion"]])]
+    name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
+    version: Annotated[int, Field(ge=1, description="number of the version, which never changes", examples=[1])]
+    aliases: Annotated[list[str], Field(description="aliases that name this version now", examples=[["champion"]])]
     manifest: Annotated[
         dict[str, Any],
         Field(
@@ -51,4 +53,4 @@ class ModelVersionDetailBody(Body):
             examples=[{"format": 1, "name": "push-indicator", "version": 1, "method": "FCN + CM + L2Reg"}],
         ),
     ]
-    card: Annotated[str, Field(description="the model card, Markdown", examples=["# push-indicator\n"])]
+    card: Annotated[str, Field(description="model card, in Markdown", examples=["# push-indicator\n"])]

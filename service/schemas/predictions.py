@@ -1,7 +1,4 @@
-"""What the service answers: the bodies of answers and errors.
-
-Every field carries its unit, an example and what it means; the OpenAPI document is made of these.
-"""
+"""Bodies of predictions: a Gaussian over the object's pose after the push, for one push or for a batch."""
 
 from typing import Annotated, Literal
 
@@ -13,31 +10,31 @@ from service.schemas.models import ModelVersionBody
 Frame = Annotated[
     Literal["object", "world"],
     Field(
-        description="of every pose in the answer: the object's pose before the push, or the world, when the request "
-        "said where the object is in it",
+        description="frame of every pose in the answer: object (the object's pose before the push), or world when the "
+        "request gave the object's pose in the world",
         examples=["object"],
     ),
 ]
 
 
 class MeanBody(Body):
-    """Expected pose of the object after the push, in the frame of the answer."""
+    """Mean of the object's pose after the push, in the frame of the answer."""
 
-    x: Annotated[float, Field(description="in m", examples=[0.021])]
-    y: Annotated[float, Field(description="in m", examples=[0.001])]
-    angle: Annotated[float, Field(description="in rad, in (-pi, pi]", examples=[0.03])]
+    x: Annotated[float, Field(description="x of the mean, in m", examples=[0.021])]
+    y: Annotated[float, Field(description="y of the mean, in m", examples=[0.001])]
+    angle: Annotated[float, Field(description="angle of the mean, in rad, in (-pi, pi]", examples=[0.03])]
 
 
 class StdBody(Body):
-    """Standard deviation of that pose; in the object frame the three are independent."""
+    """Standard deviations of that pose. In the object frame the three are independent."""
 
-    x: Annotated[float, Field(gt=0, description="in m", examples=[0.002])]
-    y: Annotated[float, Field(gt=0, description="in m", examples=[0.001])]
-    angle: Annotated[float, Field(gt=0, description="in rad", examples=[0.02])]
+    x: Annotated[float, Field(gt=0, description="standard deviation of x, in m", examples=[0.002])]
+    y: Annotated[float, Field(gt=0, description="standard deviation of y, in m", examples=[0.001])]
+    angle: Annotated[float, Field(gt=0, description="standard deviation of the angle, in rad", examples=[0.02])]
 
 
 class PredictResponse(Body):
-    """A Gaussian over the object's pose after the push."""
+    """Prediction of one push: a Gaussian over the object's pose after the push."""
 
     model: ModelVersionBody
     frame: Frame
@@ -46,31 +43,35 @@ class PredictResponse(Body):
     covariance: Annotated[
         list[list[float]] | None,
         Field(
-            description="3 x 3, of x, y, angle in m and rad; in the world frame only, where x and y may go together",
+            description="3 x 3, of x, y, angle in m and rad. Only in the world frame, where x and y may be correlated.",
             examples=[[[4e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 4e-4]]],
         ),
     ] = None
 
 
 class BatchResponse(Body):
-    """A Gaussian over the object's pose after each push, in the order of the request."""
+    """Predictions of a batch: a Gaussian over the object's pose after each push, in the order of the request."""
 
     model: ModelVersionBody
     frame: Frame
     mean: Annotated[
         list[list[float]],
         Field(
-            description="x, y, angle in m, m, rad for each push, angle in (-pi, pi]", examples=[[[0.021, 0.001, 0.03]]]
+            description="for each push the mean of x, y, angle in m, m, rad, the angle in (-pi, pi]",
+            examples=[[[0.021, 0.001, 0.03]]],
         ),
     ]
     std: Annotated[
         list[list[float]],
-        Field(description="standard deviations in m, m, rad for each push", examples=[[[0.002, 0.001, 0.02]]]),
+        Field(
+            description="for each push the standard deviations of x, y, angle in m, m, rad",
+            examples=[[[0.002, 0.001, 0.02]]],
+        ),
     ]
     covariance: Annotated[
         list[list[list[float]]] | None,
         Field(
-            description="3 x 3 for each push, of x, y, angle in m and rad; in the world frame only",
+            description="for each push 3 x 3, of x, y, angle in m and rad. Only in the world frame.",
             examples=[[[[4e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 4e-4]]]],
         ),
     ] = None

@@ -1,4 +1,4 @@
-"""Bodies of errors (RFC 9457)."""
+"""Bodies of errors: problem details (RFC 9457)."""
 
 from typing import Annotated
 
@@ -15,31 +15,36 @@ _DETAIL_EXAMPLE = "{where}: received {received}; accepted is {accepted}".format(
 
 
 class FaultBody(Body):
-    """One fault in a request."""
+    """Fault of a request: the field, the received value and the accepted values."""
 
-    where: Annotated[str, Field(description="the field", examples=["body.context.indicator side 3"])]
-    received: Annotated[str, Field(description="what came, in words", examples=["2 shapes (1, 4)"])]
-    accepted: Annotated[str, Field(description="what would be taken", examples=["exactly one shape of 1, 2, 3, 4"])]
+    where: Annotated[str, Field(description="the faulty field", examples=["body.context.indicator side 3"])]
+    received: Annotated[str, Field(description="description of the received value", examples=["2 shapes (1, 4)"])]
+    accepted: Annotated[
+        str, Field(description="description of the accepted values", examples=["exactly one shape of 1, 2, 3, 4"])
+    ]
 
 
 class ProblemBody(Body):
-    """An error, as RFC 9457 has it; the body that was sent is never repeated."""
+    """Error as RFC 9457 problem details. It never repeats the body that was sent."""
 
     type: Annotated[
-        str, Field(description="identifies the kind of problem", examples=["urn:cazsl:problem:invalid_request"])
+        str, Field(description="URN of the kind of problem", examples=["urn:cazsl:problem:invalid_request"])
     ]
-    title: Annotated[str, Field(description="the kind of problem in words", examples=["The request is not valid"])]
+    title: Annotated[str, Field(description="title of the kind of problem", examples=["The request is not valid"])]
     status: Annotated[int, Field(description="the HTTP status", examples=[422])]
-    code: Annotated[str, Field(description="stable, for programs", examples=["invalid_request"])]
+    code: Annotated[
+        str, Field(description="code of the kind of problem, which programs can rely on", examples=["invalid_request"])
+    ]
     detail: Annotated[
-        str, Field(description="what was received, what is accepted and where", examples=[_DETAIL_EXAMPLE])
+        str, Field(description="the faulty field, the received and the accepted value", examples=[_DETAIL_EXAMPLE])
     ]
     errors: Annotated[
-        list[FaultBody], Field(description="each fault of the request, ten at most", examples=[[_FAULT_EXAMPLE]])
+        list[FaultBody], Field(description="faults of the request, at most ten", examples=[[_FAULT_EXAMPLE]])
     ] = []  # noqa: RUF012 (pydantic copies it)
     request_id: Annotated[
         str,
         Field(
-            description="as in the X-Request-ID header and in the log", examples=["3f0c7d2ab4e94c7f9f5d2b1a6c8e0d11"]
+            description="identifier of the request, also in the X-Request-ID header and in the log",
+            examples=["3f0c7d2ab4e94c7f9f5d2b1a6c8e0d11"],
         ),
     ]

@@ -1,7 +1,6 @@
 """Bodies of prediction requests, and their conversion to arrays of the domain.
 
-Every field has its unit, an example and a description: the OpenAPI document is made of them. The columns of a batch stop
-at their first fault, so that a body with a million faults costs no more than a body with one.
+The columns of a batch stop at their first fault, so a body with a million faults costs no more than a body with one.
 """
 
 from typing import Annotated, Final
@@ -29,14 +28,14 @@ from service.schemas.rows import MAX_PUSHES, Rows
 
 
 class PusherBody(Body):
-    """The pusher tip's pose before the push, in the object frame, or in the world when ``object_pose`` is given."""
+    """Pose of the pusher's tip before the push, in the object frame, or in the world when ``object_pose`` is given."""
 
     x: Annotated[
         float,
         Field(
             ge=-WORLD_M,
             le=WORLD_M,
-            description="position along the x axis, in m; at most 1 m from the object along its axes",
+            description="position along the x axis, in m, at most 1 m from the object along its axes",
             examples=[-0.075],
         ),
     ]
@@ -45,41 +44,48 @@ class PusherBody(Body):
         Field(
             ge=-WORLD_M,
             le=WORLD_M,
-            description="position along the y axis, in m; at most 1 m from the object along its axes",
+            description="position along the y axis, in m, at most 1 m from the object along its axes",
             examples=[0.0],
         ),
     ]
     angle: Annotated[
         float,
-        Field(description="direction of the push from the x axis, in rad; any real number, wrapped", examples=[0.0]),
+        Field(
+            description="direction of the push from the x axis, in rad. Any real number, wrapped to (-pi, pi].",
+            examples=[0.0],
+        ),
     ]
 
 
 class ObjectPoseBody(Body):
-    """The object's pose in the world, before the push."""
+    """Pose of the object in the world, before the push."""
 
-    x: Annotated[float, Field(ge=-WORLD_M, le=WORLD_M, description="of the centre of its core, in m", examples=[0.4])]
-    y: Annotated[float, Field(ge=-WORLD_M, le=WORLD_M, description="of the centre of its core, in m", examples=[0.1])]
+    x: Annotated[float, Field(ge=-WORLD_M, le=WORLD_M, description="x of the centre of the core, in m", examples=[0.4])]
+    y: Annotated[float, Field(ge=-WORLD_M, le=WORLD_M, description="y of the centre of the core, in m", examples=[0.1])]
     angle: Annotated[
-        float, Field(description="of its x axis, through the middle of side 1, in rad; wrapped", examples=[1.57])
+        float,
+        Field(
+            description="direction of the object's x axis (through the middle of side 1), in rad, wrapped to (-pi, pi]",
+            examples=[1.57],
+        ),
     ]
 
 
-# For the document only, like the bounds of rows below: ``ModelReference`` has the better error messages.
+# Schema of the OpenAPI document only. ``ModelReference`` has the better error messages.
 _REFERENCE: Final[JsonDict] = {"pattern": f"^{NAME_PATTERN}(@({ALIAS_PATTERN}|{VERSION_PATTERN}))?$"}
 Reference = Annotated[
     str | None,
     Field(
         max_length=140,
         json_schema_extra=_REFERENCE,
-        description="name, name@alias or name@version; left out: the champion for this kind of context",
+        description="the model: name, name@alias or name@version. Default: the champion for this kind of context.",
         examples=["push-indicator", "push-indicator@champion", "push-indicator@1"],
     ),
 ]
 
 
 class Prediction(Body):
-    """The fields of every prediction request."""
+    """Base of the prediction requests: the fields that all of them have."""
 
     model: Reference = None
 
@@ -87,32 +93,32 @@ class Prediction(Body):
         """Return the reference to the model, if one was sent.
 
         Raises:
-            InvalidRequestError: the text is not a reference.
+            InvalidRequestError: the field is not a reference.
         """
         return None if self.model is None else ModelReference.parse(self.model, "body.model")
 
 
 class PredictRequest(Prediction):
-    """One push of one object: straight, at constant speed, 50 mm."""
+    """Request for one push of one object: straight, at constant speed, 50 mm."""
 
     pusher: PusherBody
     context: Annotated[
         ContextBody | None,
         Field(
-            description="the object; left out for models that know nothing of it", examples=[{"descriptor": "1a2b3c4a"}]
+            description="the object. Leave it out for models without context.", examples=[{"descriptor": "1a2b3c4a"}]
         ),
     ] = None
     object_pose: Annotated[
         ObjectPoseBody | None,
         Field(
-            description="where the object is in the world; the pusher's pose is then in the world too, and so is the "
-            "answer, with its covariance",
+            description="the object's pose in the world. If it is given, the pusher's pose is in the world too, and so "
+            "is the answer, with its covariance.",
             examples=[{"x": 0.4, "y": 0.1, "angle": 1.57}],
         ),
     ] = None
 
     def object_frames(self) -> DoubleArray | None:
-        """Return the object's pose in the world, (1, 3); None where it was not sent."""
+        """Return the object's pose in the world, (1, 3), or None if it was not sent."""
         pose = self.object_pose
         return None if pose is None else np.array([[pose.x, pose.y, wrap_angle(pose.angle)]])
 
@@ -120,7 +126,7 @@ class PredictRequest(Prediction):
         """Return the pusher pose in the object frame, (1, 3), its angle wrapped.
 
         Raises:
-            InvalidRequestError: it is out of reach.
+            InvalidRequestError: the pusher is out of reach.
         """
         x, y, angle, frames = self.pusher.x, self.pusher.y, self.pusher.angle, self.object_frames()
         if frames is None:
@@ -135,13 +141,13 @@ ContextIndex = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": 
 
 
 class BatchRequest(Prediction):
-    """Many pushes, of one object or of many, in columns."""
+    """Request for many pushes, of one object or of many, in columns."""
 
     pushers: Annotated[
         Rows,
         Field(
-            description="for each push x, y, angle in m, m, rad: the pusher tip's pose in the object frame, or in the "
-            "world when object_poses is given; at most 1 m from the object along its axes; angles are wrapped",
+            description="for each push x, y, angle in m, m, rad: the pose of the pusher's tip in the object frame, or "
+            "in the world when object_poses is given. At most 1 m from the object along its axes. Angles are wrapped.",
             examples=[[[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]]],
         ),
     ]
@@ -151,8 +157,8 @@ class BatchRequest(Prediction):
         Field(
             min_length=1,
             max_length=MAX_PUSHES,
-            description="the objects: one for all pushes, one per push, or several with context_index; left out for "
-            "models that know nothing of them",
+            description="the objects: one for all pushes, one per push, or several with context_index. Leave them out "
+            "for models without context.",
             examples=[[{"descriptor": "1a2b3c4a"}]],
         ),
     ] = None
@@ -162,30 +168,31 @@ class BatchRequest(Prediction):
         Field(
             min_length=1,
             max_length=MAX_PUSHES,
-            description="for each push the place of its object in contexts, from 0; left out when there is one context "
-            "or one per push",
+            description="for each push the index of its object in contexts, from 0. Leave it out with one context, or "
+            "with one per push.",
             examples=[[0, 0]],
         ),
     ] = None
     object_poses: Annotated[
         Rows | None,
         Field(
-            description="x, y, angle in m, m, rad of the object in the world before the push: one for all pushes or "
-            "one per push; the pusher poses are then in the world too, and so is the answer, with its covariances",
+            description="x, y, angle in m, m, rad of the object in the world before the push: one for all pushes, or "
+            "one per push. If they are given, the pusher poses are in the world too, and so is the answer, with its "
+            "covariances.",
             examples=[[[0.4, 0.1, 1.57]]],
         ),
     ] = None
 
     def object_frames(self) -> DoubleArray | None:
-        """Return the objects' poses in the world, (1, 3) or (n, 3); None where they were not sent.
+        """Return the objects' poses in the world, (1, 3) or (n, 3), or None if they were not sent.
 
         Raises:
-            InvalidRequestError: there is neither one nor one per push, or a coordinate is over ``WORLD_M``.
+            InvalidRequestError: there is neither one pose nor one per push, or a coordinate is over ``WORLD_M``.
         """
         if self.object_poses is None:
             return None
         if len(self.object_poses) not in (1, len(self.pushers)):
-            received, accepted = f"{len(self.object_poses)} poses", f"1, or {len(self.pushers)}: one per push"
+            received, accepted = f"{len(self.object_poses)} poses", f"1 pose, or {len(self.pushers)}: one per push"
             raise InvalidRequestError.at("body.object_poses", received, accepted)
         return reachable(self.object_poses, "body.object_poses", WORLD_M)
 
@@ -193,7 +200,7 @@ class BatchRequest(Prediction):
         """Return the pusher poses in the object frame, (n, 3), their angles wrapped.
 
         Raises:
-            InvalidRequestError: one is out of reach.
+            InvalidRequestError: a pusher is out of reach.
         """
         frames = self.object_frames()
         if frames is None:
@@ -202,7 +209,7 @@ class BatchRequest(Prediction):
         return reachable(into_object_frame(world, frames), "body.pushers")
 
     def context_indices(self) -> IndexArray | None:
-        """Return the index of each push's context, (n,); None where neither contexts nor an index were sent.
+        """Return the index of each push's context, (n,), or None if neither contexts nor an index were sent.
 
         Raises:
             InvalidRequestError: contexts and index do not fit the pushes.
@@ -210,6 +217,6 @@ class BatchRequest(Prediction):
         if self.contexts is None and self.context_index is None:
             return None
         if not self.contexts:
-            raise InvalidRequestError.at("body.contexts", "no contexts", "contexts for context_index")
+            raise InvalidRequestError.at("body.contexts", "no contexts", "the contexts that context_index refers to")
         fields = ("body.contexts", "body.context_index")
         return index_contexts(len(self.contexts), len(self.pushers), self.context_index, fields)
