@@ -14,7 +14,7 @@ import numpy as np
 from training.simulation.solids import BODY_DENSITY_KG_M3, FOOT_RADIUS_M, HEIGHT_M, WEIGHT_RADIUS_M, Solid
 from training.simulation.surfaces import CONTACT_FRICTION, EVEN
 
-TIME_STEP_S: Final = 0.004  # costs 0.2 mm and 7 mrad (rms), see benchmarks/time_step.py
+TIME_STEP_S: Final = 0.004  # costs 0.3 mm and 9 mrad (rms), see benchmarks/time_step.py
 PUSHER_RADIUS_M: Final = 0.00475
 PUSHER_MASS_KG: Final = 1e5
 STIFF: Final = (2 * TIME_STEP_S, 1.0)  # contact stiffness, the most that the step allows: less than 0.1 mm deep
