@@ -12,6 +12,7 @@ from service.errors import FieldFault, InvalidRequestError, MalformedBodyError
 MAX_FAULTS: Final = 10
 _SAFE_NAME = re.compile(r"[A-Za-z0-9_]{1,32}")
 _BODY: Final = ("body",)
+_ACCEPTED: Final = {"model_type": "an object", "list_type": "a list"}  # pydantic would name types of Python
 
 
 class Body(BaseModel):
@@ -62,7 +63,7 @@ def validate_body(kind: type[B], document: object, prefix: tuple[str, ...] = _BO
 
 
 def invalid_request(found: Sequence[Mapping[str, Any]], prefix: tuple[str, ...] = ()) -> InvalidRequestError:
-    """Return errors of pydantic as one error of the tree: at most ``MAX_FAULTS``, and never the value that was sent."""
+    """Return errors of pydantic as one error of the tree: at most ``MAX_FAULTS``, and never a text that was sent."""
     return InvalidRequestError([_fault(fault, prefix) for fault in found[:MAX_FAULTS]])
 
 
@@ -91,7 +92,8 @@ def _fault(found: Mapping[str, Any], prefix: tuple[str, ...]) -> FieldFault:
     if kind in ("too_short", "too_long") and "actual_length" in context:
         wanted = context.get("min_length", context.get("max_length"))
         return FieldFault(".".join(path), f"{context['actual_length']} values", f"{wanted} values")
-    return FieldFault(".".join(path), _describe(found.get("input")), message.removeprefix("Input should be "))
+    accepted = _ACCEPTED.get(kind, message.removeprefix("Input should be "))
+    return FieldFault(".".join(path), _describe(found.get("input")), accepted)
 
 
 def _describe(value: Any) -> str:

@@ -29,7 +29,7 @@ def coded_jpeg(data: bytes) -> bytes:
 
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_file_is_refused_with_its_status_and_a_message(name: str) -> None:
-    """A hostile file is refused with a 4xx status, and its message says what was received and what is accepted."""
+    """A hostile file is refused with a 4xx status, and its message names the received and the accepted value."""
     make, status = HOSTILE[name]
     with pytest.raises(RequestError, match=r"^upload: received .+; accepted is .+") as raised:
         decode(make(), where="upload")

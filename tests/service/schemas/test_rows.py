@@ -1,6 +1,5 @@
-"""Rows read by the short way are those that pydantic reads: what is accepted, to the bit, and what is refused."""
+"""Rows of a batch: the quick conversion accepts, reads and refuses exactly as the documented type does."""
 
-import json
 from typing import Any
 
 import numpy as np
@@ -10,15 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from service.errors import CazslError
 from service.pushing.poses import DoubleArray
-from service.schemas.body import parse_json, validate_body
-from service.schemas.pushes import BatchRequest
 from service.schemas.rows import MAX_PUSHES, DocumentedRows, Rows
 
 STRICT = ConfigDict(strict=True, allow_inf_nan=False)
 READER: TypeAdapter[DoubleArray] = TypeAdapter(Rows, config=STRICT)
-JUDGE = TypeAdapter(DocumentedRows, config=STRICT)
+DOCUMENTED = TypeAdapter(DocumentedRows, config=STRICT)
 
 numbers = st.one_of(
     st.floats(allow_nan=False, allow_infinity=False).map(repr),
@@ -27,8 +23,8 @@ numbers = st.one_of(
     st.integers(-(2**70), 2**70).map(str),
     st.from_regex(r"-?(0|[1-9][0-9]{0,30})(\.[0-9]{1,40})?([eE][+-]?[0-9]{1,3})?", fullmatch=True),
 )
-WORDS = ["true", "false", "null", "NaN", "-Infinity", "1e999", "-0", "01", "1.", '"1"', '"abc"']
-odd = st.sampled_from([*WORDS, "[]", "{}", '{"a": 1}', "9" * 400, "1" + "0" * 5000, "[1, 2, 3]", "[0.5]"])
+LITERALS = ["true", "false", "null", "NaN", "-Infinity", "1e999", "-0", "01", "1.", '"1"', '"abc"']
+odd = st.sampled_from([*LITERALS, "[]", "{}", '{"a": 1}', "9" * 400, "1" + "0" * 5000, "[1, 2, 3]", "[0.5]"])
 rows = st.lists(numbers, min_size=3, max_size=3).map(lambda row: f"[{', '.join(row)}]")
 odd_rows = st.one_of(odd, st.lists(st.one_of(numbers, odd), max_size=4).map(lambda row: f"[{','.join(row)}]"))
 columns = st.one_of(
@@ -36,16 +32,16 @@ columns = st.one_of(
 ).map(lambda lines: f"[{', '.join(lines)}]")
 
 
-def judged(text: str) -> bytes | None:
-    """The numbers that the documented type has, or nothing where it refuses."""
+def by_the_documented_type(text: str) -> bytes | None:
+    """Return the numbers that the documented type reads, or None if it refuses."""
     try:
-        return np.array(JUDGE.validate_python(pydantic_core.from_json(text)), dtype=np.float64).tobytes()
+        return np.array(DOCUMENTED.validate_python(pydantic_core.from_json(text)), dtype=np.float64).tobytes()
     except ValueError:
         return None
 
 
-def read(text: str) -> bytes | None:
-    """The same by the short way."""
+def by_rows(text: str) -> bytes | None:
+    """Return the numbers that ``Rows`` reads, or None if it refuses."""
     try:
         return READER.validate_python(pydantic_core.from_json(text)).tobytes()
     except ValueError:
@@ -53,7 +49,7 @@ def read(text: str) -> bytes | None:
 
 
 def faults(adapter: TypeAdapter[Any], document: Any) -> str:
-    """What a type says of a document."""
+    """Return the faults that a type finds in a document."""
     try:
         adapter.validate_python(document)
     except ValidationError as error:
@@ -63,53 +59,33 @@ def faults(adapter: TypeAdapter[Any], document: Any) -> str:
 
 @settings(max_examples=1000, deadline=None)
 @given(columns)
-def test_both_ways_accept_the_same_and_read_the_same_numbers(text: str) -> None:
-    """Whatever is written, and however long."""
-    assert read(text) == judged(text)
+def test_rows_accept_and_read_the_numbers_of_the_documented_type(text: str) -> None:
+    """Any text is read to the same numbers, to the bit, or refused by both."""
+    assert by_rows(text) == by_the_documented_type(text)
 
 
 @settings(max_examples=300, deadline=None)
 @given(columns)
 def test_a_refusal_is_in_the_words_of_the_documented_type(text: str) -> None:
-    """The same faults at the same places."""
+    """Any refused text has the same faults at the same places."""
     try:
         document = pydantic_core.from_json(text)
     except ValueError:
         return
-    assert faults(READER, document) == faults(JUDGE, document)
+    assert faults(READER, document) == faults(DOCUMENTED, document)
 
 
 @pytest.mark.parametrize(
     "received", [[(0.5, 0.5, 0.5)], ([0.5, 0.5, 0.5],), ["abc"], [{1: 0, 2: 0, 3: 0}], [[True, 0.5, 0.5]], "", None, []]
 )
-def test_what_only_looks_like_rows_is_refused(received: Any) -> None:
-    """Python takes more for lists and numbers than JSON has."""
+def test_python_values_that_resemble_rows_are_refused(received: Any) -> None:
+    """Tuples, texts, mappings and booleans are refused, although Python iterates or packs them like rows."""
     with pytest.raises(ValidationError):
         READER.validate_python(received)
 
 
-def test_as_many_rows_as_may_be_are_read_and_one_more_is_refused() -> None:
-    """The bound is that of the document."""
+def test_the_largest_number_of_rows_is_read_and_one_more_is_refused() -> None:
+    """A batch of 10,000 rows is read, and one of 10,001 is refused."""
     assert READER.validate_python([[0.5, 0.5, 0.5]] * MAX_PUSHES).shape == (MAX_PUSHES, 3)
     with pytest.raises(ValidationError):
         READER.validate_python([[0.5, 0.5, 0.5]] * (MAX_PUSHES + 1))
-
-
-def read_batch(content: bytes) -> BatchRequest:
-    """Read a batch as its endpoint does."""
-    return validate_body(BatchRequest, parse_json(content))
-
-
-def test_rows_are_not_changed_by_what_is_asked_of_them() -> None:
-    """A request is what was sent, however often its poses are asked for."""
-    batch = read_batch(json.dumps({"pushers": [[0.1, 0.2, 7.0]], "object_poses": [[0.1, 0.1, -9.0]]}).encode())
-    first = batch.pusher_poses()
-    assert (batch.pusher_poses() == first).all()
-    assert batch.pushers.tolist() == [[0.1, 0.2, 7.0]]
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"[]", b'{"pushers": NaN}', b'{"pushers": [[1e999, 0, 0]]}', b"{}"])
-def test_bytes_that_are_no_batch_are_an_error_of_the_tree(content: bytes) -> None:
-    """A client gets a problem with the field, whatever it sends."""
-    with pytest.raises(CazslError):
-        read_batch(content)
