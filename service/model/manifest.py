@@ -6,8 +6,8 @@ Two laws hold. ``Manifest.parse(m.render()) == m``, and ``Manifest.parse(t).rend
 
 Every format that was published can be read for ever:
 
-1. the fields below, without a digest of its own;
-2. with ``sha256``, the digest of the canonical text without it, so that every changed bit is found.
+1. The fields below, without a digest of its own.
+2. As format 1, with ``sha256``, the digest of the canonical text without it, so that every changed bit is found.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 from functools import cache
 from typing import Annotated, Final, Self
 
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError, with_config
+from pydantic import ConfigDict, FailFast, Field, TypeAdapter, ValidationError, with_config
 
 from service.errors import BrokenModelError
 from service.model.canonical_json import canonical
@@ -28,14 +28,15 @@ MANIFEST_FILE: Final = "manifest.json"
 MODEL_FILE: Final = "model.onnx"
 CARD_FILE: Final = "card.md"
 _DIGEST_KEY: Final = "sha256"
-_VERSION_LINE: Final = b'\n  "version": '  # follows the digest. A text cannot contain it, because it has no line ends.
+_VERSION_LINE: Final = b'\n  "version": '  # follows the digest. No text contains it, because JSON escapes line ends.
 _LARGEST: Final = 2**63
 _MAX_FAULTS: Final = 5
-_UNKNOWN: Final = {"unexpected_keyword_argument": "unknown field"}
+_MESSAGES: Final = {"unexpected_keyword_argument": "unknown field", "missing": "the field is required"}
 
 Integer = Annotated[int, Field(gt=-_LARGEST, lt=_LARGEST)]
 Number = Annotated[float, Field(gt=-float(_LARGEST), lt=float(_LARGEST))]
-Row = list[Number]
+Row = Annotated[list[Number], FailFast()]  # a collection stops at its first fault, so a file of faults costs little
+Rows = Annotated[list[Row], FailFast()]
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
@@ -59,11 +60,11 @@ class SelfCheck:
     A row of ``context`` is one object's indicator (36) or visual context (1,024, row by row).
     """
 
-    pusher: list[Row]
-    context: list[Row]
-    context_index: list[Integer]
-    mean: list[Row]
-    std: list[Row]
+    pusher: Rows
+    context: Rows
+    context_index: Annotated[list[Integer], FailFast()]
+    mean: Rows
+    std: Rows
     tolerance: Annotated[Number, Field(gt=0.0)]
 
 
@@ -120,17 +121,17 @@ class Manifest:
     created: str  # UTC, ISO 8601
     method: str
     context_kind: ContextKind
-    inputs: tuple[Tensor, ...]
-    outputs: tuple[Tensor, ...]
+    inputs: Annotated[tuple[Tensor, ...], FailFast()]
+    outputs: Annotated[tuple[Tensor, ...], FailFast()]
     normalisation: NormalisationRecord
     image_convention: str | None
-    recipe: dict[str, str | int | float | bool]
+    recipe: Annotated[dict[str, str | int | float | bool], FailFast()]
     data: DataRecord
     code_version: str
-    metrics: dict[str, Metrics]
-    calibration: dict[str, Calibration]
+    metrics: Annotated[dict[str, Metrics], FailFast()]
+    calibration: Annotated[dict[str, Calibration], FailFast()]
     self_check: SelfCheck
-    files: dict[str, FileDigest]
+    files: Annotated[dict[str, FileDigest], FailFast()]
     format: Annotated[int, Field(ge=FORMATS[0], le=FORMATS[-1])] = FORMAT
 
     @classmethod
@@ -188,6 +189,6 @@ def _fault(error: ValidationError) -> str:
     if any(fault["loc"] in ((), ("format",)) for fault in found):
         return f"format: this version reads formats {' and '.join(map(str, FORMATS))} only"
     return "; ".join(
-        f"{'.'.join(map(str, fault['loc']))}: {_UNKNOWN.get(fault['type'], fault['msg'])}"
+        f"{'.'.join(map(str, fault['loc']))}: {_MESSAGES.get(fault['type'], fault['msg'])}"
         for fault in found[:_MAX_FAULTS]
     )

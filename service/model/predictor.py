@@ -34,9 +34,9 @@ class Predictor(Protocol):
         """Return mean and std, both (n, outputs), of rows (n, inputs) with the contexts ``context[context_index]``.
 
         Args:
-            rows: (n, inputs) float32; for push models the pusher poses in m, m, rad.
-            context: (g, ...) float32, the distinct contexts; None for models without context.
-            context_index: (n,) int64, the context of each row; None for models without context.
+            rows: (n, inputs) float32. Those of a push model are pusher poses in m, m, rad.
+            context: (g, ...) float32, the distinct contexts, or None for models without context.
+            context_index: (n,) int64, the context of each row, or None for models without context.
 
         Raises:
             PredictionError: the runtime failed, or its answer is not a Gaussian.

@@ -168,7 +168,7 @@ def index_contexts(
     Args:
         contexts: number of contexts.
         pushes: number of pushes.
-        given: (n,) the index of each push's context, from 0; None where it was left out.
+        given: (n,) the index of each push's context, from 0, or None if it was left out.
         fields: the fields of the request that hold the contexts and the index, for errors.
 
     Raises:

@@ -13,7 +13,7 @@ from service.pushing.contexts import VISUAL_SIZE, VisualContext
 
 _THUMBNAIL_SCALE: Final = 8
 _LEAST_CONTRAST: Final = 0.15  # between the mean levels of object and background
-_OFF_CENTRE_CELLS: Final = 2.5  # 12 mm; an object's middle lies up to 6 mm from its core's centre
+_OFF_CENTRE_CELLS: Final = 2.5  # 12 mm. An object's middle lies up to 6 mm from its core's centre.
 _SECOND_OBJECT_SHARE: Final = 0.05  # of the largest object's area
 
 

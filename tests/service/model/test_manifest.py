@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from service.errors import BrokenModelError
 from service.model.manifest import CARD_FILE, MODEL_FILE, FileDigest, Manifest
@@ -124,3 +125,22 @@ def test_an_invalid_manifest_is_refused_by_field(content: bytes, message: str) -
     """A text that is not a manifest is refused with an error that names the field at fault."""
     with pytest.raises(BrokenModelError, match=message):
         Manifest.parse(content)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        (("self_check", "context"), [[None] * 100_000]),
+        (("self_check", "context"), [[None]] * 100_000),
+        (("recipe",), {str(number): [] for number in range(100_000)}),
+        (("metrics",), {str(number): {} for number in range(100_000)}),
+        (("files",), {str(number): 0 for number in range(100_000)}),
+    ],
+    ids=["row", "rows", "recipe", "metrics", "files"],
+)
+def test_a_manifest_full_of_faults_is_refused_by_its_first_faults(path: tuple[str, ...], value: Any) -> None:
+    """A collection is read up to its first fault, so a manifest of many faults costs no more than one of a few."""
+    with pytest.raises(BrokenModelError, match=rf"manifest\.json: {path[0]}") as caught:
+        Manifest.parse(_changed(*path, to=value))
+    assert isinstance(caught.value.__cause__, ValidationError)
+    assert caught.value.__cause__.error_count() <= 5

@@ -1,4 +1,4 @@
-"""Bodies: strict reading, and errors that name fields without repeating what was sent."""
+"""Bodies: strict reading, and errors that name fields without repeating a text that was sent."""
 
 import json
 from typing import Annotated, Any
