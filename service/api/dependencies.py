@@ -1,4 +1,4 @@
-"""The parts of the application that routes use, and the key that a route requires."""
+"""Dependencies of routes: the parts of the application that they use, and the keys that they require."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -18,7 +18,7 @@ _bearer = HTTPBearer(auto_error=False, description="an API key; `cazsl keys new`
 
 @dataclass(frozen=True)
 class Parts:
-    """The parts of the application that its routes use. The application holds them as ``parts``."""
+    """Parts of the application that its routes use. The application holds them as ``parts``."""
 
     models: LoadedModels
     readiness: Readiness
@@ -39,7 +39,7 @@ def snapshot_of(request: Request) -> Snapshot:
 
 
 def readiness_of(request: Request) -> Readiness:
-    """Return the results of the probes."""
+    """Return the readiness of all loaded versions."""
     return parts_of(request).readiness
 
 
@@ -47,7 +47,7 @@ async def may_read_metrics(request: Request) -> None:
     """Require a key with the scope of metrics, as a dependency.
 
     Raises:
-        MissingKeyError, ForbiddenError: there is none.
+        MissingKeyError, ForbiddenError: the request has no such key.
     """
     _admit(request, Scope.METRICS)
 
@@ -58,7 +58,7 @@ async def may_predict(
     """Require a key with the scope of predictions, as a dependency.
 
     Raises:
-        MissingKeyError, ForbiddenError: there is none.
+        MissingKeyError, ForbiddenError: the request has no such key.
     """
     _admit(request, Scope.PREDICT)
 

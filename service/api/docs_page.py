@@ -1,6 +1,6 @@
-"""``/docs``: the page that shows and tries every route. It loads files from this host only.
+"""Documentation page ``/docs``, which shows every route and sends requests to it. It loads files of this host only.
 
-The files are those of Swagger UI, from the package fastapi-offline: a robot's network need not reach a CDN.
+The files are those of Swagger UI, from the package fastapi-offline: the network of a robot may not reach a CDN.
 """
 
 import re
@@ -13,7 +13,7 @@ from fastapi.staticfiles import StaticFiles
 
 
 def docs_router(title: str) -> APIRouter:
-    """Return the routes of the page and its files, with addresses that also work behind a proxy's prefix."""
+    """Return the routes of the page and its files. Their addresses also work behind the prefix of a proxy."""
     router = APIRouter(include_in_schema=False)
     parts = StaticFiles(packages=[("fastapi_offline", "static")])
     page = get_swagger_ui_html(
@@ -22,7 +22,7 @@ def docs_router(title: str) -> APIRouter:
         swagger_js_url="docs/swagger-ui-bundle.js",
         swagger_css_url="docs/swagger-ui.css",
         swagger_favicon_url="docs/favicon.png",
-        swagger_ui_parameters={"validatorUrl": None},  # a badge from Swagger's own host
+        swagger_ui_parameters={"validatorUrl": None},  # otherwise the page loads a badge from the host of Swagger
     )
     page.headers["Content-Security-Policy"] = _policy(bytes(page.body).decode())
 
@@ -35,21 +35,23 @@ def docs_router(title: str) -> APIRouter:
     async def show_part(part: str, request: Request) -> Response:
         """Return a script, a style or an image of the page."""
         response = await parts.get_response(part, request.scope)
-        response.headers["Cache-Control"] = "no-cache"  # asked for again after an update; unchanged, it is a 304
+        response.headers["Cache-Control"] = (
+            "no-cache"  # browsers ask again, and get a 304 unless an update changed the file
+        )
         return response
 
     return router
 
 
 def _policy(page: str) -> str:
-    """Return the Content-Security-Policy: files of this host only, and only the inline scripts of the page."""
+    """Return the Content-Security-Policy: only files of this host, and only the inline scripts of the page."""
     scripts = re.findall(r"<script>(.*?)</script>", page, re.DOTALL)
     digests = [f"'sha256-{b64encode(sha256(script.encode()).digest()).decode()}'" for script in scripts]
     return "; ".join(
         [
             "default-src 'none'",
             f"script-src 'self' {' '.join(digests)}",
-            "style-src 'self' 'unsafe-inline'",  # the page writes styles into its elements
+            "style-src 'self' 'unsafe-inline'",  # the page sets styles of its elements
             "img-src 'self' data:",
             "connect-src 'self'",
             "base-uri 'none'",

@@ -1,4 +1,4 @@
-"""Routes of the framework for endpoints: they document an endpoint, and answer as the fast path does."""
+"""Routes of the framework that document endpoints, and answer as the fast path does."""
 
 from collections.abc import Callable, Coroutine
 from typing import Any
@@ -13,10 +13,10 @@ from service.transport.fast_path import note_answer
 
 
 class EndpointRoute(APIRoute):
-    """A route whose function is documentation: its signature, its docstring and its responses are in the OpenAPI document.
+    """A route whose function is its documentation: signature, docstring and responses go into the OpenAPI document.
 
-    The fast path in front of the framework answers its requests. One that reaches the framework all the same is answered
-    by the same endpoint.
+    The fast path in front of the framework answers the requests. A request that reaches the framework nevertheless is
+    answered by the same endpoint.
     """
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:

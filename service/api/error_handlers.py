@@ -1,4 +1,4 @@
-"""Exception handlers of the framework: every failure is answered as a problem."""
+"""Exception handlers of the framework, which answer every failure as a problem."""
 
 from http import HTTPStatus
 from typing import Final, cast
@@ -19,7 +19,7 @@ _HTTP_CODES: Final = {
 
 
 def install_error_handlers(app: FastAPI) -> None:
-    """Answer every failure of the app as a problem."""
+    """Install handlers that answer every failure of the application as a problem."""
     app.add_exception_handler(CazslError, _on_error)
     app.add_exception_handler(RequestValidationError, _on_validation)
     app.add_exception_handler(HTTPException, _on_http)
@@ -34,7 +34,7 @@ async def _on_validation(request: Request, error: Exception) -> Response:
 
 
 async def _on_http(request: Request, raised: Exception) -> Response:
-    """Answer a refusal of the framework: routes and methods."""
+    """Answer a refusal of the framework: an unknown route, or a method that a route lacks."""
     error = cast(HTTPException, raised)
     phrase = HTTPStatus(error.status_code).phrase
     code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))

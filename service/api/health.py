@@ -16,7 +16,7 @@ _NO_MODEL: Final = ReadyBody(
     problems=[],
 )
 _NOT_READY: Final[dict[str, Any]] = {
-    "description": "not now; the body says why",
+    "description": "not ready: the field reason of the body says why",
     "model": ReadyBody,
     "content": {"application/json": {"example": _NO_MODEL.model_dump()}},
 }
@@ -24,15 +24,18 @@ router = APIRouter(tags=["health"])
 metrics_router = APIRouter(dependencies=[Depends(may_read_metrics)], include_in_schema=False)
 
 
-@router.get("/livez", summary="Does the process answer?")
+@router.get("/livez", summary="Liveness of the process")
 async def live() -> LiveBody:
-    """Always true: who can read it knows."""
+    """Return `live`, which is always true."""
     return LiveBody()
 
 
-@router.get("/readyz", summary="Can predictions be answered?", responses={503: _NOT_READY})
+@router.get("/readyz", summary="Readiness for predictions", responses={503: _NOT_READY})
 async def ready(request: Request, response: Response) -> ReadyBody:
-    """Ready while a model that passed all its checks answers; a broken newcomer is named here and does not end it."""
+    """Return 200 while at least one loaded model passes its self-checks, else 503.
+
+    A published version that is broken is listed in `problems` and does not change the status.
+    """
     models, readiness = snapshot_of(request), readiness_of(request)
     reason = readiness.reason()
     response.status_code = 200 if reason is None else 503
@@ -46,5 +49,5 @@ async def ready(request: Request, response: Response) -> ReadyBody:
 
 @metrics_router.get("/metrics")
 async def metrics(request: Request) -> Response:
-    """Return the text of a scrape. It is not part of the API: docs/operations.md has its names."""
+    """Return the text of a scrape. It is not part of the API: docs/operations.md lists the metrics."""
     return Response(render(parts_of(request).metrics), media_type=CONTENT_TYPE)

@@ -1,7 +1,7 @@
-"""The examples of the OpenAPI document: every error as the service writes it, every answer of its fields' examples.
+"""Examples of the OpenAPI document: errors as the service writes them, and answers made from the examples of fields.
 
-A route names the errors that it gives; this room has one of each and lets ``problems`` write it. Where an operation has
-an answer or a parameter without an example, it is put together of those of its fields: none is kept twice.
+A route names the errors that it can raise. This module has one error of each class and renders it. If an answer or a
+parameter of an operation has no example, one is built from the examples of its fields, so that none is kept twice.
 """
 
 import json
@@ -45,7 +45,9 @@ ERRORS: Final = (
     SlowBodyError(10.0),
     BodyTooLargeError(12 << 20),
     ImageTooLargeError("image", "30000 x 20000 pixels", "up to 12582912 pixels and 8192 on a side"),
-    UnsupportedMediaTypeError("header Content-Encoding: received a compressed body; accepted is a plain one"),
+    UnsupportedMediaTypeError(
+        "header Content-Encoding: received a compressed body; accepted is a plain body without this header"
+    ),
     UnsupportedImageError("image: received 35 bytes of another format; accepted is PNG, JPEG or WebP"),
     InvalidRequestError.at("body.context.indicator side 3", "2 shapes (1, 4)", "exactly one shape of 1, 2, 3, 4"),
     ContextKindError.at("body.context", "kind visual", "a context of kind indicator for push-indicator"),
@@ -56,9 +58,9 @@ ERRORS: Final = (
     OverloadedError("256 requests in flight"),
     DeadlineError(10.0),
 )
-_PROTOCOL_ERRORS: Final = (  # what is said in other words there
+_PROTOCOL_ERRORS: Final = (  # errors that have other messages there
     InvalidRequestError.at("inputs pusher.shape", "another shape", "[n (1 to 10000), 3]"),
-    UnsupportedMediaTypeError("header Content-Encoding: received another one; accepted is gzip or deflate"),
+    UnsupportedMediaTypeError("header Content-Encoding: received another encoding; accepted is gzip or deflate"),
 )
 _KNOWN: Final = {
     "/v1": {type(error): error for error in ERRORS},
@@ -68,13 +70,13 @@ Kind = type[CazslError] | CazslError
 
 
 def problems(schema: type[Any], *kinds: Kind) -> dict[int | str, dict[str, Any]]:
-    """How a route under ``/v1`` documents its errors: their kinds, or one that says it in its own words."""
+    """Return the documented errors of a route under ``/v1``, by their classes, or by an error with its own message."""
     return _responses("/v1", "a problem, see its code", schema, MEDIA_TYPE, kinds)
 
 
 def protocol_errors(schema: type[Any], *kinds: Kind) -> dict[int | str, dict[str, Any]]:
-    """How a route under ``/v2`` does."""
-    return _responses("/v2", "an error, as the protocol has it", schema, "application/json", kinds)
+    """Return the documented errors of a route under ``/v2``. See ``problems``."""
+    return _responses("/v2", "an error in the form of the protocol", schema, "application/json", kinds)
 
 
 def _responses(
@@ -93,7 +95,7 @@ def _responses(
 
 
 def give_examples(document: dict[str, Any]) -> dict[str, Any]:
-    """Put into an OpenAPI document the errors that its routes refer to, and an example where there is none."""
+    """Add the errors that routes refer to, and the missing examples, to an OpenAPI document."""
     used = json.dumps(document["paths"])
     document["components"]["examples"] = {
         _name(prefix, error): {"summary": error.title, "value": _written(prefix, error)[1]}
@@ -117,14 +119,14 @@ def _operations(document: dict[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _answers(document: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]:
-    """One example, or one for each form of an answer that has several."""
+    """Return an example of each form of an answer."""
     forms = schema.get("anyOf", [schema])
     names = [form["$ref"].rpartition("/")[2] for form in forms]
     return {name: {"value": _example(document, form)} for name, form in zip(names, forms, strict=True)}
 
 
 def _example(document: dict[str, Any], schema: dict[str, Any]) -> Any:
-    """What a schema's own example says, or its fields' examples: those that are always there."""
+    """Return the example of a schema, or else the examples of its fields that are always present."""
     if "$ref" in schema:
         schema = document["components"]["schemas"][schema["$ref"].rpartition("/")[2]]
     if "examples" in schema:
@@ -149,7 +151,7 @@ def _name(prefix: str, error: CazslError) -> str:
 
 
 def state_media_type(document: dict[str, Any]) -> dict[str, Any]:
-    """Say in an OpenAPI document that problems come as problem+json; FastAPI writes its own type for every model."""
+    """Set the media type of problems in an OpenAPI document. FastAPI declares every model as application/json."""
     for operations in document["paths"].values():
         for operation in operations.values():
             for response in operation["responses"].values():

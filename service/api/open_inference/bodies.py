@@ -1,6 +1,6 @@
-"""Bodies of the Open Inference Protocol: those of requests are read with these classes and documented by them.
+"""Bodies of the Open Inference Protocol. These classes read requests, and document requests and answers.
 
-A request may have fields and parameters that the protocol knows and this service does not. They are ignored.
+A request may have fields and parameters of the protocol that this service does not use. They are ignored.
 """
 
 from typing import Annotated, Any, Final, Literal
@@ -20,19 +20,19 @@ _METADATA_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [-1, 
 
 
 class ErrorBody(Body):
-    """An error, as the protocol has it."""
+    """An error in the form of the protocol."""
 
     error: Annotated[
         str,
         Field(
-            description="what was received, what is accepted and where",
+            description="the field, the received value and the accepted values",
             examples=["inputs pusher.shape: received another shape; accepted is [n (1 to 10000), 3]"],
         ),
     ]
 
 
 class ServerLiveBody(Body):
-    """The process answers."""
+    """Liveness of the server."""
 
     live: Annotated[Literal[True], Field(description="always true", examples=[True])] = True
 
@@ -40,72 +40,79 @@ class ServerLiveBody(Body):
 class ServerReadyBody(Body):
     """Readiness of the server."""
 
-    live: Annotated[bool, Field(description="the protocol's word for ready", examples=[True])]
-    ready: Annotated[bool, Field(description="what some clients look for", examples=[True])]
+    live: Annotated[bool, Field(description="readiness, under the name of the protocol", examples=[True])]
+    ready: Annotated[bool, Field(description="readiness, under the name that some clients read", examples=[True])]
 
 
 class ServerBody(Body):
     """Name, version and extensions of the server."""
 
     name: Annotated[str, Field(description="always cazsl", examples=["cazsl"])] = "cazsl"
-    version: Annotated[str, Field(description="of the service", examples=["0.1.0"])]
+    version: Annotated[str, Field(description="version of the service", examples=["0.1.0"])]
     extensions: Annotated[
-        list[str], Field(description="parts of the protocol beyond its core", examples=[["binary_tensor_data"]])
+        list[str], Field(description="supported extensions of the protocol", examples=[["binary_tensor_data"]])
     ]
 
 
 class ModelReadyBody(Body):
     """Readiness of a model."""
 
-    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
-    ready: Annotated[Literal[True], Field(description="always true: otherwise the status is 404", examples=[True])] = (
-        True
-    )
+    name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
+    ready: Annotated[
+        Literal[True],
+        Field(description="always true: a model that is not ready is a 503, an unknown one a 404", examples=[True]),
+    ] = True
 
 
 class TensorBody(Body):
-    """One tensor of a model."""
+    """Tensor of a model."""
 
-    name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
+    name: Annotated[str, Field(description="name of the tensor", examples=["pusher"])]
     datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
-    shape: Annotated[list[int], Field(description="-1 is free: n pushes or g objects", examples=[[-1, 3]])]
+    shape: Annotated[
+        list[int],
+        Field(description="size of each dimension; -1 for any number of pushes or contexts", examples=[[-1, 3]]),
+    ]
 
 
 class ModelMetadataBody(Body):
-    """A model as the protocol describes it."""
+    """Metadata of a model."""
 
-    name: Annotated[str, Field(description="the model", examples=["push-indicator"])]
-    versions: Annotated[list[str], Field(description="versions served, oldest first", examples=[["1"]])]
+    name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
+    versions: Annotated[list[str], Field(description="served versions, oldest first", examples=[["1"]])]
     platform: Annotated[str, Field(description="always onnx_onnxv1", examples=["onnx_onnxv1"])] = "onnx_onnxv1"
     inputs: Annotated[
         list[TensorBody],
-        Field(description="m, m, rad; context and context_index of the objects", examples=[[_METADATA_EXAMPLE]]),
+        Field(
+            description="pusher in m, m, rad; context and context_index for models that take a context",
+            examples=[[_METADATA_EXAMPLE]],
+        ),
     ]
     outputs: Annotated[list[TensorBody], Field(description="mean and std in m, m, rad", examples=[[_METADATA_EXAMPLE]])]
 
 
 class InferTensorBody(Body):
-    """An output with its numbers. As raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
+    """Output with its numbers. As raw bytes after the JSON it has parameters.binary_data_size instead of data."""
 
-    name: Annotated[str, Field(description="of the tensor", examples=["pusher"])]
+    name: Annotated[str, Field(description="name of the tensor", examples=["pusher"])]
     datatype: Annotated[str, Field(description="FP32 or INT64", examples=["FP32"])]
-    shape: Annotated[list[int], Field(description="of this tensor", examples=[[1, 3]])]
+    shape: Annotated[list[int], Field(description="size of each dimension", examples=[[1, 3]])]
     parameters: Annotated[
         dict[str, bool | int | float | str] | None,
-        Field(description="binary_data_size: its bytes behind the JSON", examples=[{"binary_data_size": 12}]),
+        Field(description="binary_data_size: number of its bytes after the JSON", examples=[{"binary_data_size": 12}]),
     ] = None
     data: Annotated[list[Any] | None, Field(description="row-major, flat", examples=[[-0.075, 0.0, 0.0]])] = None
 
 
 class InferInputBody(Body):
-    """An input with its numbers. As raw bytes behind the JSON it has parameters.binary_data_size instead of data."""
+    """Input with its numbers. As raw bytes after the JSON it has parameters.binary_data_size instead of data."""
 
     model_config = _OPEN
 
     name: Annotated[
         str,
         Field(
-            description="of the tensor",
+            description="name of the tensor",
             examples=["pusher"],
             json_schema_extra={"enum": ["pusher", "context", "context_index"]},
         ),
@@ -113,20 +120,25 @@ class InferInputBody(Body):
     datatype: Annotated[Literal["FP32", "INT64"], Field(description="INT64 for context_index", examples=["FP32"])]
     shape: Annotated[
         list[Annotated[int, Field(ge=1, le=MAX_PUSHES)]],
-        Field(min_length=1, max_length=LARGEST_RANK, description="n pushes or g objects first", examples=[[1, 3]]),
+        Field(
+            min_length=1,
+            max_length=LARGEST_RANK,
+            description="size of each dimension, that of pushes or contexts first",
+            examples=[[1, 3]],
+        ),
     ]
     parameters: Annotated[
         Parameters | None,
-        Field(description="binary_data_size: its bytes behind the JSON", examples=[{"binary_data_size": 12}]),
+        Field(description="binary_data_size: number of its bytes after the JSON", examples=[{"binary_data_size": 12}]),
     ] = None
     data: Annotated[
-        list[SkipValidation[float | list[Any]]] | None,  # checked as a whole array
+        list[SkipValidation[float | list[Any]]] | None,  # the array is checked as a whole
         Field(description="row-major, nested or flat", examples=[[-0.075, 0.0, 0.0]]),
     ] = None
 
 
 class OutputBody(Body):
-    """An output that is asked for."""
+    """Requested output."""
 
     model_config = _OPEN
 
@@ -135,43 +147,47 @@ class OutputBody(Body):
         Field(description="mean or std, each once", examples=["mean"], json_schema_extra={"enum": ["mean", "std"]}),
     ]
     parameters: Annotated[
-        Parameters | None, Field(description="binary_data: as raw bytes", examples=[{"binary_data": False}])
+        Parameters | None, Field(description="binary_data: send it as raw bytes", examples=[{"binary_data": False}])
     ] = None
 
 
 class InferRequestBody(Body):
-    """An inference request. Other fields and parameters of the protocol are ignored."""
+    """Inference request. Other fields and parameters of the protocol are ignored."""
 
     model_config = _OPEN
 
-    id: Annotated[str | None, Field(max_length=256, description="comes back", examples=["42"])] = None
+    id: Annotated[
+        str | None, Field(max_length=256, description="any text, which the answer repeats", examples=["42"])
+    ] = None
     parameters: Annotated[
         Parameters | None,
-        Field(description="binary_data_output: all outputs as raw bytes", examples=[{"binary_data_output": False}]),
+        Field(
+            description="binary_data_output: send all outputs as raw bytes", examples=[{"binary_data_output": False}]
+        ),
     ] = None
     inputs: Annotated[
         list[InferInputBody],
         Field(
             min_length=1,
             max_length=3,
-            description="pusher, and for models with context also context; context_index may be left out for one "
-            "object or one per push",
+            description="pusher, and for models that take a context also context and context_index; context_index may "
+            "be left out if there is one context, or one per push",
             examples=[[_PUSHER_EXAMPLE]],
         ),
     ]
     outputs: Annotated[
         list[OutputBody] | None,
-        Field(max_length=2, description="left out: mean and std", examples=[[{"name": "mean"}]]),
+        Field(max_length=2, description="outputs to return; left out: mean and std", examples=[[{"name": "mean"}]]),
     ] = None
 
 
 class InferResponseBody(Body):
-    """The answer to an inference request."""
+    """Answer to an inference request."""
 
-    model_name: Annotated[str, Field(description="which answered", examples=["push-indicator"])]
-    model_version: Annotated[str, Field(description="its version", examples=["1"])]
-    id: Annotated[str | None, Field(description="that of the request", examples=["42"])] = None
-    outputs: Annotated[list[InferTensorBody], Field(description="in the order asked for", examples=[[_OUTPUT_EXAMPLE]])]
+    model_name: Annotated[str, Field(description="model that answered", examples=["push-indicator"])]
+    model_version: Annotated[str, Field(description="version that answered", examples=["1"])]
+    id: Annotated[str | None, Field(description="id of the request", examples=["42"])] = None
+    outputs: Annotated[list[InferTensorBody], Field(description="in the requested order", examples=[[_OUTPUT_EXAMPLE]])]
 
 
 INFERENCE: Final = {
@@ -184,7 +200,7 @@ INFERENCE: Final = {
             ],
         }
     },
-    "two pushes of two objects, their mean alone": {
+    "two pushes of two objects, only the mean": {
         "value": {
             "inputs": [
                 {"name": "pusher", "datatype": "FP32", "shape": [2, 3], "data": [[-0.075, 0, 0], [0, -0.075, 1.5708]]},

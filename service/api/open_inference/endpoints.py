@@ -1,4 +1,4 @@
-"""The endpoints of the Open Inference Protocol. Bodies may come compressed, as gzip or deflate."""
+"""Endpoints of the Open Inference Protocol. Bodies may be compressed with gzip or deflate."""
 
 import zlib
 from functools import partial
@@ -15,14 +15,14 @@ _WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
 
 
 def inference_endpoints(max_body_bytes: int) -> tuple[Endpoint[InferRequest], ...]:
-    """Return the endpoints for champions and for versions; a decompressed body may have so many bytes."""
+    """Return the endpoints for models and for versions. ``max_body_bytes`` bounds decompressed bodies."""
     return tuple(
         Endpoint(
             path,
             check=_check_nothing,
             read=partial(_read, max_body_bytes),
             ask=ask_inference,
-            weigh=lambda _: Weight.LIGHT,  # few contexts fit into a body that the event loop reads
+            weigh=lambda _: Weight.LIGHT,  # a body that the event loop reads has few contexts
             is_read_quickly=_is_read_quickly,
         )
         for path in (MODEL_PATH, VERSION_PATH)
@@ -34,7 +34,7 @@ def inflate(content: bytes, encoding: str, limit: int) -> bytes:
 
     Raises:
         UnsupportedMediaTypeError: the encoding is not gzip or deflate.
-        MalformedBodyError: the body is not one whole stream of that encoding.
+        MalformedBodyError: the body is not one complete stream of that encoding.
         BodyTooLargeError: the decompressed body is over the limit.
     """
     bits = _WINDOW_BITS.get(encoding.strip().lower())
@@ -50,16 +50,16 @@ def inflate(content: bytes, encoding: str, limit: int) -> bytes:
     if len(found) > limit:
         raise BodyTooLargeError(limit)
     if not stream.eof or stream.unused_data:
-        raise MalformedBodyError("body: received half a stream, or more than one; accepted is one whole stream")
+        raise MalformedBodyError("body: received half a stream, or more than one; accepted is one complete stream")
     return found
 
 
 def _check_nothing(_: Headers) -> None:
-    """Accept any headers: the protocol's clients send several content types."""
+    """Accept any headers: clients of the protocol send several content types."""
 
 
 def _encoding(headers: Headers) -> str | None:
-    """Return the encoding of a compressed body; None for a plain one."""
+    """Return the encoding of a compressed body, or None for a plain body."""
     encoding = (header(headers, b"content-encoding") or b"identity").decode("latin-1")
     return None if encoding.lower() == "identity" else encoding
 

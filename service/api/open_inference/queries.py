@@ -1,7 +1,7 @@
-"""Queries of the Open Inference Protocol: tensors in, tensors out, by the same models and rules as ``/v1``.
+"""Queries of the Open Inference Protocol: tensors in, tensors out, with the models and the rules of ``/v1``.
 
-A push that ``/v1`` refuses is refused here: out of reach, or with a context that cannot be. Levels of a visual context are
-rounded to 8 bits, as everywhere. Parameters other than those of the binary extension are ignored.
+A push that ``/v1`` refuses is refused here too: out of reach, or with a context that is not valid. Levels of a visual
+context are rounded to 8 bits, as in ``/v1``. Parameters other than those of the binary extension are ignored.
 """
 
 from collections.abc import Mapping
@@ -30,7 +30,7 @@ _CACHED_INDICATORS: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class InferRequest:
-    """An inference request whose tensors are not read yet: which they may be depends on the model."""
+    """Inference request whose tensors are not read yet: the expected tensors depend on the model."""
 
     reference: ModelReference
     header_length: str | None
@@ -41,7 +41,7 @@ class InferRequest:
 class TensorQuery(Query):
     """A query whose answer is tensors."""
 
-    wanted: Mapping[str, bool]  # outputs, in order, and whether as raw bytes
+    wanted: Mapping[str, bool]  # for each output, in order, True for raw bytes
     id: str | None
 
     def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
@@ -58,7 +58,7 @@ class TensorQuery(Query):
 
 
 def parse_reference(model: str, version: str | None) -> ModelReference:
-    """Return the reference that a path holds.
+    """Return the reference to a model in a path.
 
     Raises:
         InvalidRequestError: name or version is not valid.
@@ -76,7 +76,7 @@ def ask_inference(models: Snapshot, request: InferRequest) -> TensorQuery:
     """Return the query of an inference request.
 
     Raises:
-        RequestError: the model, a tensor or a push cannot be.
+        RequestError: the model is not served, or a tensor or a push is not valid.
         ModelNotReadyError: see ``Snapshot.find``.
     """
     model = models.find(request.reference)
@@ -88,7 +88,7 @@ def ask_inference(models: Snapshot, request: InferRequest) -> TensorQuery:
 
 
 def _wanted_outputs(body: InferRequestBody) -> Mapping[str, bool]:
-    """Return the outputs to give, in order, and whether as raw bytes. The flag of an output wins over that of all."""
+    """Return for each requested output, in order, True for raw bytes. Its own flag overrides that of the request."""
     every = (body.parameters or {}).get("binary_data_output") is True
     if not body.outputs:
         return dict.fromkeys(_OUTPUT_NAMES, every)
@@ -102,7 +102,7 @@ def _wanted_outputs(body: InferRequestBody) -> Mapping[str, bool]:
 
 
 def _pushers(given: Array | None) -> FloatArray:
-    """Return pushes (n, 3) within reach, their angles wrapped."""
+    """Return pusher poses (n, 3) within reach, with wrapped angles."""
     if given is None:
         raise InvalidRequestError.at("inputs", "no tensor pusher", "pusher, FP32 [n, 3]")
     far = np.abs(given[:, :2]) > REACH_M
@@ -129,7 +129,7 @@ def _contexts(model: LoadedModel, inputs: Mapping[str, Array], pushes: int) -> C
 
 
 def _indicators(given: Array) -> FloatArray:
-    """Return indicators (g, 36), each of an object that can be."""
+    """Return indicators (g, 36), each checked to be valid."""
     contexts: FloatArray = given.astype(np.float32)
     for number, row in enumerate(contexts):
         _check_indicator(row.tobytes(), number)
@@ -145,7 +145,7 @@ def _check_indicator(row: bytes, number: int) -> None:
 
 @lru_cache(maxsize=_CACHED_INDICATORS)
 def _known(row: bytes) -> ObjectContext:
-    """Return the object of an indicator that was valid before."""
+    """Return the object context of a valid indicator."""
     return ObjectContext.from_indicator(np.frombuffer(row, np.float32).tolist())
 
 

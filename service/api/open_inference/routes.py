@@ -1,8 +1,8 @@
-"""The routes of the Open Inference Protocol, over the same models as ``/v1``, for clients that speak it already.
+"""Routes of the Open Inference Protocol over the models of ``/v1``, for clients that implement it already.
 
-Names, fields and statuses are the protocol's (Open Inference Protocol V2, REST). Where servers differ, the answer is one
-that every known client reads: both ``live`` and ``ready`` in health, ``model_name`` in every inference, versions as texts,
-errors as ``{"error": text}`` in plain ``application/json``.
+Names, fields and statuses are the protocol's (Open Inference Protocol V2, REST). Where servers differ, the answer is
+one that every known client reads: both ``live`` and ``ready`` in health, ``model_name`` in every inference, versions as
+texts, errors as ``{"error": text}`` in plain ``application/json``.
 """
 
 import base64
@@ -48,12 +48,14 @@ from service.errors import (
 from service.model.reference import ALIAS_PATTERN, NAME_PATTERN, VERSION_PATTERN
 from service.model.tensors import Tensor
 
-# For the document only: ``ModelReference`` has the better error messages.
+# For the document only: ``ModelReference`` checks names, with better error messages.
 _NAME: Final[JsonDict] = {"pattern": f"^{NAME_PATTERN}(@{ALIAS_PATTERN})?$"}
 _VERSION: Final[JsonDict] = {"pattern": f"^{VERSION_PATTERN}$"}
-Name = Annotated[str, Path(description="a model, or model@alias", examples=["push-indicator"], json_schema_extra=_NAME)]
+Name = Annotated[
+    str, Path(description="name of a model, or name@alias", examples=["push-indicator"], json_schema_extra=_NAME)
+]
 Version = Annotated[str, Path(description="version of the model", examples=["1"], json_schema_extra=_VERSION)]
-_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
+_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # on every route
 _NAMED: Final = (InvalidRequestError, UnknownModelError, *_AT_ONCE)
 _INFERRED: Final = (
     MalformedBodyError,
@@ -69,9 +71,9 @@ _INFERRED: Final = (
 _INFER_BODY: Final = {
     "requestBody": {
         "required": True,
-        "description": "JSON; or, with the header Inference-Header-Content-Length, that many bytes of JSON and behind "
-        "them the tensors that have a binary_data_size, little-endian, in the order of the JSON. May come compressed, "
-        "as gzip or deflate.",
+        "description": "JSON. With the header Inference-Header-Content-Length: that number of bytes of JSON, followed "
+        "by the tensors that have a binary_data_size, little-endian, in the order of the JSON. The body may be "
+        "compressed with gzip or deflate.",
         "content": {
             "application/json": {"schema": {"$ref": "#/components/schemas/InferRequestBody"}, "examples": INFERENCE}
         },
@@ -82,13 +84,13 @@ _RAW_EXAMPLE, _ = render(
     {"mean": np.array([[0.021, 0.001, 0.03]], dtype=np.float32)},
     frozenset(["mean"]),
 )
-_RAW_ANSWER: Final = {  # a document in JSON has no other way to show bytes
+_RAW_ANSWER: Final = {  # a JSON document cannot hold bytes in another way
     "externalValue": "data:application/octet-stream;base64," + base64.b64encode(_RAW_EXAMPLE).decode()
 }
 _INFER_RESPONSES: Final = {
     200: {
-        "description": "JSON; or, when an output was asked for as raw bytes, JSON of as many bytes as the header "
-        "Inference-Header-Content-Length says, and the bytes behind it",
+        "description": "JSON. If an output is requested as raw bytes: JSON with the number of bytes in the header "
+        "Inference-Header-Content-Length, followed by the raw bytes",
         "content": {
             "application/octet-stream": {
                 "schema": {"type": "string", "format": "binary"},
@@ -104,89 +106,91 @@ router = APIRouter(tags=["open inference"])
 inference = APIRouter(route_class=EndpointRoute, tags=["open inference"])
 
 
-@health.get("/v2/health/live", summary="Does the process answer?")
+@health.get("/v2/health/live", summary="Liveness of the process")
 async def live() -> ServerLiveBody:
-    """Always true: who can read it knows."""
+    """Return `live`, which is always true."""
     return ServerLiveBody()
 
 
 @health.get(
     "/v2/health/ready",
-    summary="Can any model be asked?",
+    summary="Readiness for predictions",
     responses=protocol_errors(ErrorBody, ModelNotReadyError, *_AT_ONCE),
 )
 async def ready(request: Request) -> ServerReadyBody:
-    """200 while a model that passed all its checks answers, else 503."""
+    """Return 200 while at least one loaded model passes its self-checks, else 503."""
     reason = readiness_of(request).reason()
     if reason is not None:
         raise ModelNotReadyError(reason)
     return ServerReadyBody(live=True, ready=True)
 
 
-@router.get("/v2", summary="What serves")
+@router.get("/v2", summary="Metadata of the server")
 async def server() -> ServerBody:
-    """Name, version and extensions of the server."""
+    """Return name, version and extensions of the server."""
     return ServerBody(version=service.__version__, extensions=["binary_tensor_data"])
 
 
 @router.get(
-    "/v2/models/{name}", summary="A model's tensors", responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError)
+    "/v2/models/{name}",
+    summary="Metadata of a model",
+    responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
 )
 async def model_metadata(request: Request, name: Name) -> ModelMetadataBody:
-    """Names, types and shapes of inputs and outputs of the champion, and the versions that are served."""
+    """Return names, types and shapes of the inputs and outputs of the champion, and the served versions."""
     return _metadata(request, name, None)
 
 
 @router.get(
     "/v2/models/{name}/versions/{version}",
-    summary="A version's tensors",
+    summary="Metadata of a version",
     responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
 )
 async def version_metadata(request: Request, name: Name, version: Version) -> ModelMetadataBody:
-    """Names, types and shapes of inputs and outputs, and the versions that are served."""
+    """Return names, types and shapes of the inputs and outputs of a version, and the served versions."""
     return _metadata(request, name, version)
 
 
 @router.get(
     "/v2/models/{name}/ready",
-    summary="Can this model be asked?",
+    summary="Readiness of a model",
     responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
 )
 async def model_ready(request: Request, name: Name) -> ModelReadyBody:
-    """200 when its champion is loaded, passed its checks and answers."""
+    """Return 200 if the champion is loaded and its last self-check passed, else 503."""
     return _ready(request, name, None)
 
 
 @router.get(
     "/v2/models/{name}/versions/{version}/ready",
-    summary="Can this version be asked?",
+    summary="Readiness of a version",
     responses=protocol_errors(ErrorBody, *_NAMED, ModelNotReadyError),
 )
 async def version_ready(request: Request, name: Name, version: Version) -> ModelReadyBody:
-    """200 when it is loaded, passed its checks and answers; a version that is not served is not there."""
+    """Return 200 if the version is loaded and its last self-check passed, else 503. Unknown versions are a 404."""
     return _ready(request, name, version)
 
 
 @inference.post(
     MODEL_PATH,
-    summary="Ask a model: tensors in, tensors out",
+    summary="Predict with a model: tensors in, tensors out",
     response_model=InferResponseBody,
     responses=_INFER_RESPONSES,
     openapi_extra=_INFER_BODY,
 )
 async def ask_model(name: Name) -> None:
-    """The same predictions as /v1, as tensors; the champion answers, and says which version it is."""
+    """Predict as /v1 does, with tensors. The champion answers, and the answer names its version."""
 
 
 @inference.post(
     VERSION_PATH,
-    summary="Ask a version: tensors in, tensors out",
+    summary="Predict with a version: tensors in, tensors out",
     response_model=InferResponseBody,
     responses=_INFER_RESPONSES,
     openapi_extra=_INFER_BODY,
 )
 async def ask_version(name: Name, version: Version) -> None:
-    """The same predictions as /v1, as tensors."""
+    """Predict as /v1 does, with tensors."""
 
 
 def _metadata(request: Request, name: str, version: str | None) -> ModelMetadataBody:
@@ -214,13 +218,13 @@ def _tensor_body(tensor: Tensor) -> TensorBody:
 
 
 def describe_infer(document: dict[str, Any]) -> dict[str, Any]:
-    """Add the schema of inference requests to an OpenAPI document: their routes read bytes, FastAPI knows of none."""
+    """Add the schema of inference requests to an OpenAPI document. FastAPI cannot derive it: routes read bytes."""
     schema = InferRequestBody.model_json_schema(ref_template="#/components/schemas/{model}")
     schemas = document["components"]["schemas"]
     schemas |= {**schema.pop("$defs"), "InferRequestBody": schema}
     for path, operations in document["paths"].items():
         for operation in operations.values() if path.startswith("/v2") else ():
-            operation["responses"].pop("422", None)  # what FastAPI expects of its parameters is a 400 here
+            operation["responses"].pop("422", None)  # parameters that are not valid are a 400 here
     for name in ("HTTPValidationError", "ValidationError"):
         schemas.pop(name, None)
     return document

@@ -1,4 +1,4 @@
-"""Tensors as the Open Inference Protocol carries them: JSON, or JSON followed by raw bytes.
+"""Tensors in the form of the Open Inference Protocol: JSON, or JSON followed by raw bytes.
 
 The binary extension puts the tensors that have a ``binary_data_size`` behind the JSON, in the order of the JSON's list:
 little-endian, row-major, no padding. Every size is compared with its expected value before memory is allocated.
@@ -28,7 +28,7 @@ Array = npt.NDArray[Any]
 
 
 def read_json(content: bytes, header_length: str | None) -> tuple[InferRequestBody, memoryview]:
-    """Read the JSON of a request, and return it with the bytes that follow.
+    """Read the JSON of a request. Return it with the bytes that follow.
 
     Raises:
         MalformedBodyError: the length in the header does not fit, or the bytes are not JSON.
@@ -46,7 +46,7 @@ def read_json(content: bytes, header_length: str | None) -> tuple[InferRequestBo
 
 
 def read_inputs(part: InferRequestBody, raw: memoryview, expected: Sequence[Tensor]) -> dict[str, Array]:
-    """Return the input tensors by name, of the expected types and shapes, with finite numbers. Some may be missing.
+    """Return input tensors by name, with the expected types and shapes and finite numbers. Inputs may be missing.
 
     Raises:
         InvalidRequestError: a tensor is unknown, repeated, of another type or shape, or not of its declared size.
@@ -72,14 +72,14 @@ def read_inputs(part: InferRequestBody, raw: memoryview, expected: Sequence[Tens
             raise InvalidRequestError.at(f"{where}{at}", "a number that is not finite in float32", "finite numbers")
         found[tensor.name] = array
     if len(raw):
-        raise MalformedBodyError(f"body: received {len(raw)} bytes behind the last tensor; accepted is no byte")
+        raise MalformedBodyError(f"body: received {len(raw)} bytes after the last tensor; accepted are none")
     return found
 
 
 def render(
     document: dict[str, Any], outputs: dict[str, Array], binary: frozenset[str]
 ) -> tuple[bytes, tuple[tuple[bytes, bytes], ...]]:
-    """Return body and headers of an answer: the document with these outputs, in order, some of them as raw bytes."""
+    """Return body and headers of an answer: the document with these outputs in order, some of them as raw bytes."""
     parts: list[dict[str, Any]] = []
     raw: list[bytes] = []
     for name, array in outputs.items():
@@ -109,25 +109,25 @@ def _check_shape(shape: list[int], tensor: Tensor, where: str) -> None:
 
 
 def _from_json(data: list[Any], shape: list[int], datatype: str, where: str) -> Array:
-    """Return a list, flat or nested as the shape, as an array."""
+    """Return an array of a list that is flat, or nested like the shape."""
     flat = data
     if data and isinstance(data[0], list):
         for size in shape[1:]:
             if not all(isinstance(row, list) and len(row) == size for row in flat):
                 raise InvalidRequestError.at(
-                    f"{where}.data", "lists that do not nest as the shape says", f"shape {shape}, or flat"
+                    f"{where}.data", "lists that are not nested like the shape", f"shape {shape}, or flat"
                 )
             flat = list(itertools.chain.from_iterable(flat))
     if len(flat) != math.prod(shape):
         raise InvalidRequestError.at(
-            f"{where}.data", f"{len(flat)} values", f"{math.prod(shape)} values, as the shape says"
+            f"{where}.data", f"{len(flat)} values", f"{math.prod(shape)} values, to fit the shape"
         )
     if not set(map(type, flat)) <= _JSON_KINDS[datatype]:
         raise InvalidRequestError.at(
             f"{where}.data", "a value that is not a number of this type", f"{datatype} numbers"
         )
     try:
-        with np.errstate(over="ignore"):  # an infinity is refused with its place
+        with np.errstate(over="ignore"):  # an infinity is refused later, with its position
             return np.array(flat, dtype=_DTYPES[datatype]).reshape(shape)
     except OverflowError as error:
         raise InvalidRequestError.at(f"{where}.data", "a number that is too large", f"{datatype} numbers") from error
@@ -138,11 +138,11 @@ def _from_raw(given: InferInputBody, raw: memoryview, datatype: str, where: str)
     wanted = math.prod(given.shape) * _DTYPES[datatype].itemsize
     size = (given.parameters or {}).get("binary_data_size")
     if size is None:
-        raise InvalidRequestError.at(where, "neither data nor parameters.binary_data_size", "one of them")
+        raise InvalidRequestError.at(where, "neither data nor parameters.binary_data_size", "one of the two")
     if isinstance(size, bool) or size != wanted:
         raise InvalidRequestError.at(
-            f"{where}.parameters.binary_data_size", "another size", f"{wanted}, as shape and type say"
+            f"{where}.parameters.binary_data_size", "another size", f"{wanted}, to fit shape and type"
         )
     if len(raw) < wanted:
-        raise InvalidRequestError.at(where, f"{len(raw)} bytes", f"{wanted} bytes, as shape and type say")
+        raise InvalidRequestError.at(where, f"{len(raw)} bytes", f"{wanted} bytes, to fit shape and type")
     return np.frombuffer(raw[:wanted], dtype=_DTYPES[datatype]).reshape(given.shape), raw[wanted:]

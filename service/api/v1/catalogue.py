@@ -1,4 +1,4 @@
-"""The catalogue of served models as bodies: every model, one model, one version."""
+"""Catalogue of the served models as bodies: every model, one model, one version."""
 
 import pydantic_core
 
@@ -9,7 +9,7 @@ from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 
 
 def models_body(models: Snapshot) -> ModelsBody:
-    """Return every served model, by name."""
+    """Return every served model, sorted by name."""
     return ModelsBody(models=[model_body(models, name) for name in models.names()])
 
 
@@ -17,7 +17,7 @@ def model_body(models: Snapshot, name: str) -> ModelBody:
     """Return one model, with its versions and aliases.
 
     Raises:
-        UnknownModelError: none of it is served.
+        UnknownModelError: no version of it is served.
     """
     versions = models.versions(name)
     newest: LoadedModel = models.models[name, versions[-1]]
@@ -34,7 +34,7 @@ def version_body(models: Snapshot, name: str, version: int) -> ModelVersionDetai
     """Return one version, with its manifest and its card.
 
     Raises:
-        UnknownModelError, ModelNotReadyError: as ``Snapshot.find``.
+        UnknownModelError, ModelNotReadyError: see ``Snapshot.find``.
     """
     model = models.find(ModelReference(name, None, version))
     aliases = [alias for alias, target in models.aliases_of(name).items() if target == version]

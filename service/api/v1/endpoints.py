@@ -1,4 +1,4 @@
-"""The endpoints of ``/v1``: how their requests are checked, read, weighed and asked."""
+"""Endpoints of ``/v1``: how their requests are checked, read, weighed and turned into queries."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ from service.schemas.pushes import BatchRequest, PredictRequest
 from service.transport.endpoints import LIGHT_BYTES, Endpoint, Headers, HttpRequest, Weight, header
 
 LIGHT_CONTEXTS: Final = 256  # encoded in the event loop
-LIGHT_BATCH_BYTES: Final = 64 * 1024  # 1,000 pushes: read in a tenth of the time that the runtime takes for them
+LIGHT_BATCH_BYTES: Final = 64 * 1024  # 1,000 pushes: read in a tenth of the time that the runtime takes to predict them
 _JSON: Final = b"application/json"
 _JSON_RANGES: Final = frozenset(("*/*", "application/*", "application/json"))
 _NO_WEIGHTS: Final = frozenset(("q=0", "q=0.0", "q=0.00", "q=0.000"))
@@ -52,7 +52,7 @@ def check_json(headers: Headers) -> None:
     """Accept a request with a body in JSON, whose answer may be JSON.
 
     Raises:
-        NotAcceptableError, UnsupportedMediaTypeError: see ``check_plain``, and for bodies that are not declared as JSON.
+        NotAcceptableError, UnsupportedMediaTypeError: see ``check_plain``, or the body is not declared as JSON.
     """
     check_plain(headers)
     content_type = header(headers, b"content-type")
@@ -72,7 +72,7 @@ def _read_single(request: HttpRequest) -> PredictRequest:
 
 
 def _read_batch(request: HttpRequest) -> BatchRequest:
-    return validate_body(BatchRequest, parse_json(request.content))  # faster than one pass for long columns
+    return validate_body(BatchRequest, parse_json(request.content))  # for long columns two passes are faster than one
 
 
 def _read_upload(request: HttpRequest) -> Upload:

@@ -1,4 +1,4 @@
-"""Contexts of a request as the tensors of a model. Descriptors are encoded once and cached; images are timed."""
+"""Contexts of requests, encoded as tensors of a model. Descriptors are encoded once and cached, images are timed."""
 
 from collections.abc import Sequence
 from functools import lru_cache
@@ -14,7 +14,7 @@ from service.pushing.contexts import ObjectContext, VisualContext
 from service.pushing.images import decode, visual_context
 from service.schemas.contexts import ContextBody
 
-MAX_IMAGES: Final = 16  # in one batch: each takes a thread for milliseconds, or for a good part of a second
+MAX_IMAGES: Final = 16  # per batch: each keeps a thread busy for milliseconds, or for a large part of a second
 _CACHED_DESCRIPTORS: Final = 4096  # Omnipush has 250 objects
 _FIELD: Final = "body.context"
 _NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, None, None, _FIELD)
@@ -24,16 +24,16 @@ def encode_context(context: ContextBody | None) -> ContextBatch:
     """Encode the context of a single push.
 
     Raises:
-        RequestError: it cannot be one.
+        RequestError: the context is not valid.
     """
     return _NO_CONTEXT if context is None else ContextBatch(*_encode(context, _FIELD), FIRST_CONTEXT, _FIELD)
 
 
 def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | None) -> ContextBatch:
-    """Encode the contexts of a batch; each descriptor once, however often it occurs.
+    """Encode the contexts of a batch. A repeated descriptor is encoded once.
 
     Raises:
-        RequestError: one cannot be a context, their kinds differ, or there are more than ``MAX_IMAGES`` images.
+        RequestError: a context is not valid, their kinds differ, or more than ``MAX_IMAGES`` of them are images.
     """
     where = "body.contexts"
     if contexts is None or index is None:
@@ -88,7 +88,7 @@ def _encode(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:
         try:
             return ContextKind.INDICATOR, _tensor_of(descriptor)
         except InvalidRequestError:
-            pass  # raised below, with its field
+            pass  # raised again below, with the field
     if context.image is None:
         known = context.to_domain(where)
     else:

@@ -1,6 +1,6 @@
-"""Queries of ``/v1``: from a valid request to the model that it names, and from a Gaussian to JSON.
+"""Queries of ``/v1``: from a valid request to a query to its model, and from the Gaussian to JSON.
 
-Numbers of the object frame are written with the digits of float32, those of the world frame with the digits of float64.
+Numbers in the object frame are written with the digits of float32, numbers in the world frame with those of float64.
 """
 
 from collections.abc import Callable
@@ -26,9 +26,9 @@ Render = Callable[[_Array, _Array, DoubleArray | None], dict[str, object]]
 
 @dataclass(frozen=True, slots=True)
 class JsonQuery(Query):
-    """A query whose answer is JSON of ours, in the world frame where the request gave the objects' poses in it."""
+    """A query whose answer is the JSON of ``/v1``, in the world frame if the request has object poses."""
 
-    frames: DoubleArray | None  # of the objects in the world, (1, 3) or (n, 3)
+    frames: DoubleArray | None  # object poses in the world, (1, 3) or (n, 3)
     render: Render
 
     def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
@@ -48,7 +48,7 @@ def ask_single(models: Snapshot, request: PredictRequest) -> JsonQuery:
     """Return the query of a single push.
 
     Raises:
-        RequestError: the push, the context or the model cannot be.
+        RequestError: the push, the context or the reference to the model is not valid.
         ModelNotReadyError: see ``Snapshot.find``.
     """
     contexts = encode_context(request.context)
@@ -56,10 +56,10 @@ def ask_single(models: Snapshot, request: PredictRequest) -> JsonQuery:
 
 
 def ask_model(model: LoadedModel, request: PredictRequest) -> JsonQuery:
-    """Return the query of a single push to this model, whichever the request names.
+    """Return the query of a single push to this model, even if the request names another.
 
     Raises:
-        RequestError: the push or the context cannot be.
+        RequestError: the push or the context is not valid.
     """
     return _single(model, request, encode_context(request.context))
 
@@ -68,7 +68,7 @@ def ask_batch(models: Snapshot, request: BatchRequest) -> JsonQuery:
     """Return the query of many pushes. The answer of a push depends on its own row and context only.
 
     Raises:
-        RequestError: a push, a context or the model cannot be.
+        RequestError: a push, a context or the reference to the model is not valid.
         ModelNotReadyError: see ``Snapshot.find``.
     """
     pushers = request.pusher_poses()
@@ -78,7 +78,7 @@ def ask_batch(models: Snapshot, request: BatchRequest) -> JsonQuery:
 
 @dataclass(frozen=True, slots=True)
 class ImageRequest:
-    """One push or many of the object in an image file."""
+    """Request for one push or many of the object in an image file."""
 
     pushes: PredictRequest | BatchRequest
     image: bytes
@@ -88,7 +88,7 @@ def ask_image(models: Snapshot, request: ImageRequest) -> JsonQuery:
     """Return the query of one push or many of the object in an image. Blocking: it decodes.
 
     Raises:
-        RequestError: a push, the image or the model cannot be.
+        RequestError: a push, the image or the reference to the model is not valid.
         ModelNotReadyError: see ``Snapshot.find``.
     """
     pushes = request.pushes

@@ -1,6 +1,6 @@
-"""What clients send, in the OpenAPI document: examples of JSON bodies, and the forms that FastAPI does not know of.
+"""Request bodies in the OpenAPI document: examples of JSON, and the forms that FastAPI cannot derive.
 
-Every example is sent by a test, and answered.
+A test sends every example, and it is answered.
 """
 
 from typing import Any, Final
@@ -33,7 +33,7 @@ ONE_PUSH: Final = _request(
             "model": "push-indicator@1",
         },
         "an object in an image": {"pusher": _PUSHER, "context": {"image": IMAGE_EXAMPLE}},
-        "an object that nothing is known of": {"pusher": _PUSHER},
+        "an unknown object": {"pusher": _PUSHER},
         "in the world": {
             "pusher": {"x": 0.4, "y": 0.025, "angle": 1.5708},
             "context": _DESCRIPTOR,
@@ -59,7 +59,7 @@ MANY_PUSHES: Final = _request(
 
 
 def _form(fields: dict[str, Any], rules: dict[str, Any], examples: dict[str, Any]) -> dict[str, Any]:
-    """A form with an image; what an example says of its image is the name of a file."""
+    """Return the schema of a form with an image. In its examples the image is the name of a file."""
     image = {"type": "string", "format": "binary", "description": "PNG, JPEG or WebP of the object from above"}
     schema = {
         "type": "object",
@@ -72,14 +72,14 @@ def _form(fields: dict[str, Any], rules: dict[str, Any], examples: dict[str, Any
         "schema": schema,
         "encoding": {"image": {"contentType": ", ".join(IMAGE_TYPES)}},
         "examples": {
-            name: {"summary": f"{name}; view.png stands for the file", "value": {"image": "view.png"} | value}
+            name: {"summary": f"{name} (view.png stands for the file)", "value": {"image": "view.png"} | value}
             for name, value in examples.items()
         },
     }
 
 
 def _rows(name: str) -> dict[str, Any]:
-    """Rows as one part of a form; a list would be a part each."""
+    """Return the schema of rows as one part of a form. A list would be one part per row."""
     return {
         "type": "string",
         "contentMediaType": "application/json",

@@ -1,4 +1,4 @@
-"""The routes of ``/v1``: documentation of the endpoints, and the catalogue of models."""
+"""Routes of ``/v1``: documentation of the endpoints, and the catalogue of models."""
 
 from typing import Annotated, Final
 
@@ -37,7 +37,7 @@ from service.schemas.pushes import BatchRequest, PredictRequest
 
 Name = Annotated[str, Path(max_length=64, description="name of a model", examples=["push-indicator"])]
 Version = Annotated[int, Path(ge=1, le=999_999_999, description="version of the model", examples=[1])]
-_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # whatever is asked for
+_AT_ONCE: Final = (TooManyRequestsError, OverloadedError)  # on every route
 _UPLOADED: Final = (
     MalformedBodyError,
     NotAcceptableError,
@@ -73,69 +73,78 @@ models = APIRouter(dependencies=[Depends(takes_json)], tags=["models"])
 
 @predictions.post(
     "/v1/predict",
-    summary="Where does this object end up after this push, and how sure is that?",
+    summary="Predict one push",
     response_model=PredictResponse,
     responses=problems(ProblemBody, *_PREDICTED),
     openapi_extra=ONE_PUSH,
 )
 async def predict(body: PredictRequest) -> None:
-    """Predict one push, in the object frame, or in the world when `object_pose` says where the object is."""
+    """Predict the pose of an object after one push, as a Gaussian.
+
+    The answer is in the object frame, or in the world frame if `object_pose` is sent.
+    """
 
 
 @predictions.post(
     "/v1/predict/batch",
-    summary="The same for up to 10,000 pushes, of one object or of many",
+    summary="Predict up to 10,000 pushes of one or several objects",
     response_model=BatchResponse,
     responses=problems(ProblemBody, *_PREDICTED),
     openapi_extra=MANY_PUSHES,
 )
 async def predict_many(body: BatchRequest) -> None:
-    """Predict pushes in columns: one row each of pushers, mean and std. A row's answer depends on that row only."""
+    """Predict pushes in columns: each push is one row of `pushers`, `mean` and `std`.
+
+    The prediction of a row depends on that row and its context only.
+    """
 
 
 @predictions.post(
     "/v1/predict/image",
-    summary="The same for the object in an image",
+    summary="Predict pushes of the object in an image",
     response_model=PredictResponse | BatchResponse,
     responses=problems(ProblemBody, *_PREDICTED),
     openapi_extra=PUSH_UPLOAD,
 )
 async def predict_image() -> None:
-    """Predict one push (`pusher`) or many (`pushers`) of the object in a top-down view."""
+    """Predict one push (`pusher`) or several (`pushers`) of the object in a top-down image."""
 
 
 @predictions.post(
     "/v1/contexts",
-    summary="What does a model see of this image?",
+    summary="Convert an image into a visual context",
     response_model=VisualContextBody,
     responses=problems(ProblemBody, *_UPLOADED),
     openapi_extra=IMAGE_UPLOAD,
 )
 async def make_context() -> None:
-    """Turn a top-down view into the visual context that predictions take, with a picture of it and what looks wrong."""
+    """Convert a top-down image into the visual context that predictions take.
+
+    The answer also has a thumbnail of the context, and flags for faults of the image.
+    """
 
 
 @models.get(
     "/v1/models",
-    summary="What is served",
+    summary="List the served models",
     responses=problems(ProblemBody, NotAcceptableError, *_AT_ONCE),
 )
 async def list_models(request: Request) -> ModelsBody:
-    """Every model that is served, with its versions and aliases."""
+    """Return every served model with its versions and aliases."""
     return models_body(snapshot_of(request))
 
 
-@models.get("/v1/models/{name}", summary="One model", responses=problems(ProblemBody, *_LOOKED_UP))
+@models.get("/v1/models/{name}", summary="Show a model", responses=problems(ProblemBody, *_LOOKED_UP))
 async def show_model(request: Request, name: Name) -> ModelBody:
-    """One model, with its versions and aliases."""
+    """Return a model with its versions and aliases."""
     return model_body(snapshot_of(request), name)
 
 
 @models.get(
     "/v1/models/{name}/versions/{version}",
-    summary="One version",
+    summary="Show a version of a model",
     responses=problems(ProblemBody, *_LOOKED_UP, ModelNotReadyError),
 )
 async def show_version(request: Request, name: Name, version: Version) -> ModelVersionDetailBody:
-    """One version with its manifest (data, metrics, tensors with units, digests) and its card."""
+    """Return a version with its manifest (data, metrics, tensors with units, digests) and its model card."""
     return version_body(snapshot_of(request), name, version)

@@ -1,7 +1,7 @@
-"""Uploads: an image file with fields beside it, as a form or by itself. Read from memory, in a thread.
+"""Uploads: an image file with fields beside it as a form, or an image file alone. A thread reads them from memory.
 
-The form is parsed by python-multipart through Starlette, limited to one file and a few fields, and never written to
-disk. Admission has bounded its bytes already.
+python-multipart, through Starlette, parses the form, limited to one file and a few fields. It is never written to disk.
+Admission has bounded its bytes already.
 """
 
 import asyncio
@@ -23,19 +23,19 @@ _FIELDS: Final = _JSON_FIELDS | {"model"}
 
 @dataclass(frozen=True)
 class Upload:
-    """An image file and the fields beside it. Fields in JSON are parsed, ``model`` is text."""
+    """Upload of an image file with the fields beside it. Fields in JSON are parsed, ``model`` is text."""
 
     image: bytes
     fields: dict[str, Any] = field(default_factory=dict)
 
 
 class _InMemory(MultiPartParser):
-    """A form parser that never writes to disk: a container may be read-only."""
+    """Parser of forms that never writes to disk: a container may be read-only."""
 
     spool_max_size = 1 << 62
 
     def close(self) -> None:
-        """Close every file, also those whose end did not arrive, which the parser forgets."""
+        """Close every file. The parser itself does not close files whose end did not arrive."""
         for file in self._files_to_close_on_error:
             file.close()
 
@@ -44,8 +44,8 @@ def read_upload(headers: Headers, content: bytes) -> Upload:
     """Read the image and the fields of a body. Blocking: call it in a thread without an event loop.
 
     Raises:
-        UnsupportedMediaTypeError: it is neither a form nor an image.
-        MalformedBodyError: it is not a whole form, or has too many parts.
+        UnsupportedMediaTypeError: the body is neither a form nor an image.
+        MalformedBodyError: the form is incomplete, or has too many parts.
         InvalidRequestError: the image is missing, or a field is unknown, repeated, or not JSON.
     """
     media_type = headers.get("content-type", "").partition(";")[0].strip().lower()
@@ -94,7 +94,7 @@ async def _parse(headers: Headers, content: bytes) -> list[tuple[str, str | byte
 
 
 def _is_utf8(content_type: str) -> bool:
-    """Return whether the charset of a form is UTF-8 or not declared: some of Python's codecs are slow by design."""
+    """Return True if the charset of a form is UTF-8 or not declared. Some codecs of Python are slow by design."""
     parameters = content_type.lower().replace('"', "").replace(" ", "").split(";")
     return all(not text.startswith("charset") or text == "charset=utf-8" for text in parameters)
 

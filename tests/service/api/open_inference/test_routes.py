@@ -282,7 +282,7 @@ def test_raw_bytes_must_be_exactly_those_of_the_tensors(client: TestClient) -> N
     """Nothing missing, nothing left over, and the sizes those of the shapes."""
     content, headers = packed(("pusher", PUSHES), ("context", INDICATOR[None]))
     assert "143 bytes" in error(client.post(URL, content=content[:-1], headers=headers))
-    assert "1 bytes behind" in error(client.post(URL, content=content + b"\0", headers=headers))
+    assert "1 bytes after" in error(client.post(URL, content=content + b"\0", headers=headers))
     for size in (23, 25, -24, 2**63, "24", True, 24.0):
         body = changed(0, data=None, parameters={"binary_data_size": size})
         head = json.dumps(body).encode()
