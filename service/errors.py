@@ -79,7 +79,7 @@ class InvalidRequestError(RequestError):
 
     @classmethod
     def at(cls, where: str, received: str, accepted: str) -> Self:
-        """Create the error of one fault: the field, what was received, what is accepted."""
+        """Create the error of one fault: the field, the received value, the accepted values."""
         return cls([FieldFault(where, received, accepted)])
 
     def __reduce__(self) -> tuple[type["InvalidRequestError"], tuple[tuple[FieldFault, ...]]]:
@@ -172,7 +172,7 @@ class ImageTooLargeError(RequestError):
 
 
 class UnsupportedMediaTypeError(RequestError):
-    """The content type or encoding of the body is not one that the route reads."""
+    """The body has a content type or an encoding that the route does not read."""
 
     code, title = "unsupported_media_type", "The content type is not supported"
     status = HTTPStatus.UNSUPPORTED_MEDIA_TYPE

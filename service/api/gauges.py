@@ -13,14 +13,14 @@ Rows = list[tuple[tuple[str, ...], float]]
 
 
 class Traffic(Protocol):
-    """The counts of admitted requests; ``transport.admission.Admission`` keeps them."""
+    """Counts of admitted requests. ``transport.admission.Admission`` keeps them."""
 
     in_flight: int
     held_bytes: int
 
 
 class Pool(Protocol):
-    """The counts of a thread pool; ``transport.threads.ThreadPool`` keeps them."""
+    """Counts of a thread pool. ``transport.threads.ThreadPool`` keeps them."""
 
     jobs: int
     threads: int
