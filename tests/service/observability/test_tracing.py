@@ -1,4 +1,4 @@
-"""Spans, as an exporter in this process gets them."""
+"""Spans of requests reach an exporter in this process, and a collector."""
 
 import threading
 from collections.abc import Iterator
@@ -23,13 +23,13 @@ TRACE, SPAN = "4bf92f3577b34da6a3ce929d0e0e4736", "00f067aa0ba902b7"
 
 @pytest.fixture
 def exporter() -> InMemorySpanExporter:
-    """Where spans go."""
+    """Return an exporter that keeps spans in memory."""
     return InMemorySpanExporter()
 
 
 @pytest.fixture
 def traced(served: tuple[Registry, LoadedModels], exporter: InMemorySpanExporter) -> Iterator[TestClient]:
-    """The whole app, with spans."""
+    """Return a client of the application with spans."""
     provider = TracerProvider()
     provider.add_span_processor(SimpleSpanProcessor(exporter))
     app = create_app(Settings(poll_interval_s=3600), served[1], trace=lambda rings: Tracing(rings, provider))
@@ -37,17 +37,17 @@ def traced(served: tuple[Registry, LoadedModels], exporter: InMemorySpanExporter
         yield found
 
 
-def only(exporter: InMemorySpanExporter) -> ReadableSpan:
-    """The one span there is."""
+def only_span(exporter: InMemorySpanExporter) -> ReadableSpan:
+    """Return the only span."""
     (span,) = exporter.get_finished_spans()
     return span
 
 
 def test_a_request_is_a_span_in_its_callers_trace(traced: TestClient, exporter: InMemorySpanExporter) -> None:
-    """Parent and trace from traceparent; route, status and model as attributes."""
+    """The span of a request has the trace of its caller, and route, status and model as attributes."""
     headers = {"traceparent": f"00-{TRACE}-{SPAN}-01", "X-Request-ID": "one"}
     assert traced.post("/v1/predict", json=BODY, headers=headers).status_code == 200
-    span = only(exporter)
+    span = only_span(exporter)
     assert span.name == "POST /v1/predict"
     assert span.context is not None
     assert span.parent is not None
@@ -66,9 +66,9 @@ def test_a_request_is_a_span_in_its_callers_trace(traced: TestClient, exporter: 
 def test_a_refusal_is_a_span_with_its_code_and_without_its_path(
     traced: TestClient, exporter: InMemorySpanExporter
 ) -> None:
-    """A root span when there is no trace to be in, or none that is one."""
+    """The span of a refusal has its code and no path, and is a root span without a valid trace."""
     traced.get("/secret-token-in-a-path", headers={"traceparent": "made up"})
-    span = only(exporter)
+    span = only_span(exporter)
     assert (span.name, span.parent) == ("GET unknown", None)
     attributes = dict(span.attributes or {})
     assert (attributes["http.response.status_code"], attributes["error.type"]) == (404, "no_such_route")
@@ -76,22 +76,22 @@ def test_a_refusal_is_a_span_with_its_code_and_without_its_path(
 
 
 class Collector(BaseHTTPRequestHandler):
-    """Takes whatever is sent, and keeps it."""
+    """A collector that keeps the spans that it receives."""
 
     bodies: ClassVar[list[tuple[str, bytes]]] = []
 
     def do_POST(self) -> None:
-        """A batch of spans."""
+        """Keep a batch of spans."""
         self.bodies.append((self.path, self.rfile.read(int(self.headers["Content-Length"]))))
         self.send_response(200)
         self.end_headers()
 
     def log_message(self, *_: object) -> None:
-        """Nothing."""
+        """Log no line."""
 
 
-def test_spans_reach_a_collector_at_the_address_at_the_latest_at_the_end() -> None:
-    """OTLP over HTTP, to exactly the address that was given."""
+def test_spans_reach_a_collector_before_the_provider_ends() -> None:
+    """Spans are sent by OTLP over HTTP to exactly the given address, at the latest at shutdown."""
     with HTTPServer(("127.0.0.1", 0), Collector) as server:
         serving = threading.Thread(target=server.serve_forever)
         serving.start()

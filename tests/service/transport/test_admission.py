@@ -1,4 +1,4 @@
-"""What comes in: bounded bodies, slow clients, how many at once. The ring is driven as a server drives it."""
+"""Admission bounds bodies, slow clients and concurrent requests. The tests call the ring as a server does."""
 
 import asyncio
 import json
@@ -16,13 +16,13 @@ GONE: Message = {"type": "http.disconnect"}
 
 
 def limits(**changes: Any) -> AdmissionLimits:
-    """Small ones."""
+    """Return small limits, with these changes."""
     usual = {"body_bytes": 1000, "body_s": 5.0, "in_flight": 2, "in_flight_per_caller": 0, "held_bytes": 10_000}
     return AdmissionLimits(**(usual | changes))
 
 
-class Endpoint:
-    """An app that keeps the bodies that it was given and answers when it is told to."""
+class SlowApp:
+    """An application that keeps the bodies of its requests, and answers once it is released."""
 
     def __init__(self) -> None:
         self.bodies: list[bytes] = []
@@ -30,7 +30,7 @@ class Endpoint:
         self.release.set()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Answer."""
+        """Answer 200."""
         message = await receive()
         assert not message["more_body"]
         self.bodies.append(message["body"])
@@ -39,25 +39,25 @@ class Endpoint:
         await send({"type": "http.response.body", "body": b"{}"})
 
 
-async def ask(
+async def send_messages(
     admission: Admission,
     messages: list[Message],
     headers: list[tuple[bytes, bytes]] | None = None,
     client: str = "10.0.0.1",
 ) -> tuple[int, dict[bytes, bytes], Any]:
-    """Status, headers and document of the answer to these messages; nothing comes after them. Status 0: no answer."""
+    """Send these messages, and no more. Return status, headers and document of the answer, or status 0 without one."""
     sent: list[Message] = []
     waiting = iter(messages)
 
     async def receive() -> Message:
-        """What the client sends."""
+        """Return the next message of the client."""
         for message in waiting:
             return message
         await asyncio.Event().wait()
         raise AssertionError
 
     async def send(message: Message) -> None:
-        """What the client is sent."""
+        """Keep a message to the client."""
         sent.append(message)
 
     scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": headers or [], "client": (client, 1)}
@@ -68,148 +68,148 @@ async def ask(
 
 
 def run(scenario: Callable[[], Any]) -> None:
-    """Run a scenario, for a minute at most."""
+    """Run a scenario for at most a minute."""
 
     async def bounded() -> None:
-        """As far as the limits let it."""
+        """Run it with a time limit."""
         async with asyncio.timeout(60):
             await scenario()
 
     asyncio.run(bounded())
 
 
-def test_a_body_in_pieces_arrives_whole() -> None:
-    """However a client chops it."""
+def test_a_body_in_pieces_arrives_complete() -> None:
+    """The application gets the body in one piece, for any pieces that the client sends."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        endpoint = Endpoint()
+        """Run the scenario in an event loop."""
+        app = SlowApp()
         pieces = [{**PART, "body": bytes([byte])} for byte in b"hello"]
-        assert (await ask(Admission(endpoint, limits()), [*pieces, LAST]))[0] == 200
-        assert endpoint.bodies == [b"hello"]
+        assert (await send_messages(Admission(app, limits()), [*pieces, LAST]))[0] == 200
+        assert app.bodies == [b"hello"]
 
     run(scenario)
 
 
-def test_a_body_over_the_limit_is_refused_declared_or_not() -> None:
-    """At the limit it is read, beyond it nobody behind sees it."""
+def test_a_body_over_the_limit_is_refused() -> None:
+    """A body at the limit is read. A larger one is refused with 413, by its declared length or by its bytes."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        endpoint = Endpoint()
-        admission = Admission(endpoint, limits())
-        assert (await ask(admission, [PART] * 10 + [LAST]))[0] == 200
-        status, _, document = await ask(admission, [PART] * 11 + [LAST])
+        """Run the scenario in an event loop."""
+        app = SlowApp()
+        admission = Admission(app, limits())
+        assert (await send_messages(admission, [PART] * 10 + [LAST]))[0] == 200
+        status, _, document = await send_messages(admission, [PART] * 11 + [LAST])
         assert (status, document["code"]) == (413, "body_too_large")
-        status, _, document = await ask(admission, [LAST], [(b"content-length", b"1001")])
+        status, _, document = await send_messages(admission, [LAST], [(b"content-length", b"1001")])
         assert (status, document["code"]) == (413, "body_too_large")
-        assert len(endpoint.bodies) == 1
+        assert len(app.bodies) == 1
 
     run(scenario)
 
 
-def test_a_body_that_does_not_come_is_not_waited_for() -> None:
-    """408, and the connection is closed; others are served meanwhile."""
+def test_a_late_body_is_refused() -> None:
+    """A late body is a 408 that closes the connection, and does not delay other requests."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        admission = Admission(Endpoint(), limits(body_s=0.05, in_flight=1))
-        slow = asyncio.ensure_future(ask(admission, [PART]))
+        """Run the scenario in an event loop."""
+        admission = Admission(SlowApp(), limits(body_s=0.05, in_flight=1))
+        slow = asyncio.ensure_future(send_messages(admission, [PART]))
         await asyncio.sleep(0)
-        assert (await ask(admission, [LAST]))[0] == 200
+        assert (await send_messages(admission, [LAST]))[0] == 200
         status, headers, document = await slow
         assert (status, document["code"], headers[b"connection"]) == (408, "slow_body", b"close")
 
     run(scenario)
 
 
-def test_a_client_that_goes_away_gets_nothing_and_leaves_nothing() -> None:
-    """What was held of it is held no more."""
+def test_a_client_that_disconnects_releases_its_bytes() -> None:
+    """The bytes of a client that disconnects during its body no longer count as held."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        admission = Admission(Endpoint(), limits(held_bytes=150))
+        """Run the scenario in an event loop."""
+        admission = Admission(SlowApp(), limits(held_bytes=150))
         for _ in range(5):
-            assert (await ask(admission, [PART, GONE]))[0] == 0
-        assert (await ask(admission, [PART, LAST]))[0] == 200
+            assert (await send_messages(admission, [PART, GONE]))[0] == 0
+        assert (await send_messages(admission, [PART, LAST]))[0] == 200
 
     run(scenario)
 
 
-def test_more_than_fits_is_refused_at_once_with_a_moment_to_wait() -> None:
-    """The third of two; and when they are done there is room again."""
+def test_a_request_over_the_limit_in_flight_is_refused() -> None:
+    """A third request beside two is a 503 with Retry-After, and is accepted once they are done."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        endpoint = Endpoint()
-        admission = Admission(endpoint, limits())
-        endpoint.release.clear()
-        first, second = (asyncio.ensure_future(ask(admission, [LAST])) for _ in range(2))
+        """Run the scenario in an event loop."""
+        app = SlowApp()
+        admission = Admission(app, limits())
+        app.release.clear()
+        first, second = (asyncio.ensure_future(send_messages(admission, [LAST])) for _ in range(2))
         await asyncio.sleep(0.01)
-        status, headers, document = await ask(admission, [LAST])
+        status, headers, document = await send_messages(admission, [LAST])
         assert (status, document["code"], headers[b"retry-after"]) == (503, "overloaded", b"1")
-        endpoint.release.set()
-        assert [(await first)[0], (await second)[0], (await ask(admission, [LAST]))[0]] == [200, 200, 200]
+        app.release.set()
+        assert [(await first)[0], (await second)[0], (await send_messages(admission, [LAST]))[0]] == [200, 200, 200]
 
     run(scenario)
 
 
-def test_one_caller_has_its_share_and_others_have_theirs() -> None:
-    """By key where there is one, else by address."""
+def test_requests_are_limited_per_caller() -> None:
+    """A caller over its limit gets a 429, and other callers are served. Keys are counted first, then addresses."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        endpoint = Endpoint()
-        admission = Admission(endpoint, limits(in_flight=9, in_flight_per_caller=1))
-        endpoint.release.clear()
+        """Run the scenario in an event loop."""
+        app = SlowApp()
+        admission = Admission(app, limits(in_flight=9, in_flight_per_caller=1))
+        app.release.clear()
         key = [(b"authorization", b"Bearer one")]
         running = [
-            asyncio.ensure_future(ask(admission, [LAST])),
-            asyncio.ensure_future(ask(admission, [LAST], client="10.0.0.2")),
-            asyncio.ensure_future(ask(admission, [LAST], key)),
+            asyncio.ensure_future(send_messages(admission, [LAST])),
+            asyncio.ensure_future(send_messages(admission, [LAST], client="10.0.0.2")),
+            asyncio.ensure_future(send_messages(admission, [LAST], key)),
         ]
         await asyncio.sleep(0.01)
         for headers in ([], key):
-            status, answered, document = await ask(admission, [LAST], headers)
+            status, answered, document = await send_messages(admission, [LAST], headers)
             assert (status, document["code"], answered[b"retry-after"]) == (429, "too_many_requests", b"1")
-        endpoint.release.set()
+        app.release.set()
         assert [(await task)[0] for task in running] == [200, 200, 200]
-        assert (await ask(admission, [LAST]))[0] == 200
+        assert (await send_messages(admission, [LAST]))[0] == 200
 
     run(scenario)
 
 
 def test_bytes_of_all_requests_together_are_bounded() -> None:
-    """Many bodies within their own limits are still not all held."""
+    """Bodies within their own limit are refused if all bodies together are over the limit."""
 
     async def scenario() -> None:
-        """What happens, in the loop."""
-        endpoint = Endpoint()
-        admission = Admission(endpoint, limits(held_bytes=1000, in_flight=9))
-        endpoint.release.clear()
-        running = asyncio.ensure_future(ask(admission, [PART] * 8 + [LAST]))
+        """Run the scenario in an event loop."""
+        app = SlowApp()
+        admission = Admission(app, limits(held_bytes=1000, in_flight=9))
+        app.release.clear()
+        running = asyncio.ensure_future(send_messages(admission, [PART] * 8 + [LAST]))
         await asyncio.sleep(0.01)
-        assert (await ask(admission, [PART] * 8 + [LAST]))[0] == 503
-        endpoint.release.set()
+        assert (await send_messages(admission, [PART] * 8 + [LAST]))[0] == 503
+        app.release.set()
         assert (await running)[0] == 200
-        assert (await ask(admission, [PART] * 8 + [LAST]))[0] == 200
+        assert (await send_messages(admission, [PART] * 8 + [LAST]))[0] == 200
 
     run(scenario)
 
 
-def test_a_failure_behind_it_leaves_room() -> None:
-    """Counts go down whatever happens."""
+def test_a_failed_request_is_no_longer_counted() -> None:
+    """The counts go down also if the application raises an exception."""
 
     async def broken(scope: Scope, receive: Receive, send: Send) -> None:
-        """A client that is gone."""
+        """Fail, as when a client disconnects."""
         raise RuntimeError
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         admission = Admission(broken, limits(in_flight=1, in_flight_per_caller=1, held_bytes=150))
         for _ in range(3):
             try:
-                await ask(admission, [PART, LAST])
+                await send_messages(admission, [PART, LAST])
             except RuntimeError:
                 continue
             raise AssertionError("it was answered")

@@ -1,4 +1,4 @@
-"""Writes that leave together; the bounds on heads are tested with raw sockets in tests/test_attacks.py."""
+"""Connections join head and body in one write. tests/test_attacks.py tests the bounds on heads with raw sockets."""
 
 import asyncio
 import gc
@@ -14,10 +14,10 @@ from tests.fake_connection import FakeConnection, FakeTransport
 
 
 def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
-    """What leaves, call by call, when this is written in one go."""
+    """Return the bytes of each system call for writes in one iteration."""
 
     async def run() -> list[bytes]:
-        """In a loop."""
+        """Write in an event loop."""
         transport = FakeTransport()
         write(PairedWrites(transport, asyncio.get_running_loop()))
         await asyncio.sleep(0)
@@ -36,10 +36,10 @@ def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
         ((b"head", b"part", b"part"), [b"headpart", b"part"]),
         ((b"", b"body"), [b"body"]),
     ],
-    ids=["an answer", "a head alone", "an empty body", "two answers", "a body in parts", "nothing, then something"],
+    ids=["an answer", "a head alone", "an empty body", "two answers", "a body in parts", "an empty head"],
 )
-def test_what_is_written_in_one_go_leaves_in_pairs(pieces: tuple[bytes, ...], calls: list[bytes]) -> None:
-    """Head and body make one call, and nothing waits for longer than whoever writes."""
+def test_writes_of_an_iteration_are_sent_in_pairs(pieces: tuple[bytes, ...], calls: list[bytes]) -> None:
+    """Head and body are sent in one call, and no bytes are held beyond the iteration."""
 
     def write(transport: PairedWrites) -> None:
         for piece in pieces:
@@ -48,8 +48,8 @@ def test_what_is_written_in_one_go_leaves_in_pairs(pieces: tuple[bytes, ...], ca
     assert sent_by(write) == calls
 
 
-def test_closing_sends_what_is_held() -> None:
-    """A refusal is written and the connection closed at once: it leaves first."""
+def test_closing_sends_the_held_bytes() -> None:
+    """A refusal that is written just before the connection closes is sent first."""
 
     def write(transport: PairedWrites) -> None:
         transport.write(b"refused")
@@ -59,12 +59,12 @@ def test_closing_sends_what_is_held() -> None:
     assert sent_by(write) == [b"refused"]
 
 
-def test_nothing_is_sent_to_a_peer_that_is_gone() -> None:
-    """The connection was lost between the write and the end of it."""
+def test_held_bytes_are_dropped_if_the_peer_is_gone() -> None:
+    """Bytes that are held when the connection is lost are not sent."""
     transport = FakeTransport()
 
     async def run() -> None:
-        """Write, and lose the connection."""
+        """Write, then lose the connection."""
         PairedWrites(transport, asyncio.get_running_loop()).write(b"head")
         transport.close()
         await asyncio.sleep(0)
@@ -73,24 +73,24 @@ def test_nothing_is_sent_to_a_peer_that_is_gone() -> None:
     assert transport.sent == []
 
 
-def test_everything_else_is_the_transports_own() -> None:
-    """Who the peer is, among others, which uvicorn asks."""
+def test_other_attributes_are_those_of_the_transport() -> None:
+    """The address of the peer, which uvicorn reads, is that of the wrapped transport."""
 
     async def run() -> object:
-        """Ask."""
+        """Read the address in an event loop."""
         return PairedWrites(FakeTransport(), asyncio.get_running_loop()).get_extra_info("peername")
 
     assert asyncio.run(run()) == ("192.0.2.1", 5)
 
 
-@pytest.mark.parametrize("said", [b"", b"POST /v1/predict HTTP/1.1\r\n"], ids=["silent", "in the middle of a head"])
-def test_a_connection_that_is_lost_is_not_held_until_its_time_is_over(said: bytes) -> None:
-    """A clock that still looked at it would hold a proxy's thousands of short connections in memory for seconds."""
+@pytest.mark.parametrize("sent", [b"", b"POST /v1/predict HTTP/1.1\r\n"], ids=["silent", "in the middle of a head"])
+def test_a_lost_connection_is_released_at_once(sent: bytes) -> None:
+    """No timer holds a lost connection in memory, since a proxy may open thousands of short ones."""
 
     async def run() -> object:
-        """Open, say something, and be gone; what is left of it while the loop goes on."""
+        """Open a connection, send bytes and disconnect. Return the connection if it still exists."""
         connection = FakeConnection(PlainTextResponse("fine"), None)
-        connection.receive(said)
+        connection.receive(sent)
         connection.disconnect()
         left = weakref.ref(connection.protocol)
         del connection
@@ -101,7 +101,7 @@ def test_a_connection_that_is_lost_is_not_held_until_its_time_is_over(said: byte
 
 
 async def echo(scope: Scope, receive: Receive, send: Send) -> None:
-    """Answer with the body, read message by message."""
+    """Answer with the body, which is read message by message."""
     content, more = b"", True
     while more:
         message = await receive()
@@ -117,14 +117,14 @@ async def echo(scope: Scope, receive: Receive, send: Send) -> None:
     [(9,), (70_000,), (70_000, 70_000), (70_000, 1, 2, 70_000), (1,) * 9, (0, 5), (20_000, 20_000, 90_000)],
     ids=str,
 )
-@pytest.mark.parametrize("at_once", [True, False], ids=["in one turn", "turn by turn"])
-def test_a_body_arrives_as_it_was_sent_in_whatever_pieces(sizes: tuple[int, ...], at_once: bool) -> None:
-    """A large piece is kept as it is, others are added to it; nothing is lost, doubled or turned around."""
+@pytest.mark.parametrize("at_once", [True, False], ids=["in one iteration", "in several iterations"])
+def test_a_body_arrives_complete_in_any_pieces(sizes: tuple[int, ...], at_once: bool) -> None:
+    """A body reaches the application unchanged, in pieces of any sizes."""
     pieces = [bytes([65 + number]) * size for number, size in enumerate(sizes)]
     whole = b"".join(pieces)
 
     async def run() -> bytes:
-        """Send piece by piece."""
+        """Send the body piece by piece."""
         connection = FakeConnection(echo, None)
         connection.receive(f"POST / HTTP/1.1\r\nHost: h\r\nContent-Length: {len(whole)}\r\n\r\n".encode())
         for piece in pieces:

@@ -1,4 +1,4 @@
-"""A server that goes on for a while after SIGTERM, and asks its clients to leave."""
+"""The server keeps serving for some time after SIGTERM, and asks its clients to leave."""
 
 import signal
 
@@ -10,43 +10,43 @@ from service.transport.draining import DrainingServer
 
 
 class Drained:
-    """Who is told of the end."""
+    """A callback that counts its calls."""
 
     times = 0
 
     def __call__(self) -> None:
-        """The end has come."""
+        """Count one."""
         self.times += 1
 
 
-def server(drain_s: float, told: Drained) -> DrainingServer:
-    """A server that does not run."""
-    return DrainingServer(uvicorn.Config("nobody:app", log_config=None), drain_s, told)
+def server(drain_s: float, drained: Drained) -> DrainingServer:
+    """Return a server that does not run."""
+    return DrainingServer(uvicorn.Config("absent:app", log_config=None), drain_s, drained)
 
 
 def ticked(found: DrainingServer) -> bool:
-    """Whether it closes at its next tick."""
+    """Return True if the server closes at its next tick."""
 
     async def tick() -> bool:
-        """One tick, in a loop."""
+        """Run one tick in an event loop."""
         return await found.on_tick(0)
 
     return anyio.run(tick)
 
 
-def test_after_sigterm_it_serves_on_and_asks_clients_to_leave() -> None:
-    """Whoever is told is told at once; from then on every answer closes its connection."""
-    told = Drained()
-    found = server(3600.0, told)
+def test_after_sigterm_the_server_keeps_serving_and_asks_clients_to_leave() -> None:
+    """The callback is called at once, and every later answer closes its connection."""
+    drained = Drained()
+    found = server(3600.0, drained)
     found.handle_exit(signal.SIGTERM, None)
-    assert told.times == 1
+    assert drained.times == 1
     assert (b"connection", b"close") in found.server_state.default_headers
     assert not ticked(found)
-    assert (b"connection", b"close") in found.server_state.default_headers  # uvicorn makes them anew
+    assert (b"connection", b"close") in found.server_state.default_headers  # uvicorn makes these headers again
 
 
-def test_it_closes_when_that_time_is_over() -> None:
-    """No time at all: at the next tick."""
+def test_the_server_closes_after_the_drain_time() -> None:
+    """With a drain time of 0 the server closes at the next tick after SIGTERM."""
     found = server(0.0, Drained())
     assert not ticked(found)
     found.handle_exit(signal.SIGTERM, None)
@@ -54,8 +54,8 @@ def test_it_closes_when_that_time_is_over() -> None:
 
 
 @pytest.mark.parametrize("signals", [[signal.SIGTERM, signal.SIGTERM], [signal.SIGINT]], ids=["twice", "Ctrl-C"])
-def test_an_impatient_end_does_not_wait(signals: list[signal.Signals]) -> None:
-    """A second SIGTERM, or a person at the keyboard."""
+def test_a_second_signal_skips_the_drain_time(signals: list[signal.Signals]) -> None:
+    """A second SIGTERM, or Ctrl-C, closes the server at the next tick."""
     found = server(3600.0, Drained())
     for number in signals:
         found.handle_exit(number, None)

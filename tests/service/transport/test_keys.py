@@ -1,4 +1,4 @@
-"""API keys: every route wants one, the file decides at once, and what is broken opens nothing."""
+"""API keys: routes require one, changes of the file count at once, and a broken file accepts no key."""
 
 import os
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ PUSH = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}}
 
 
 def grant(path: Path, *scopes: Scope, name: str = "robot-7") -> str:
-    """Add a key to a file; the key."""
+    """Add a key to a file, and return the key."""
     made, key = Grant.new(name, frozenset(scopes))
     with path.open("a") as file:
         file.write(made.line() + "\n")
@@ -30,7 +30,7 @@ def grant(path: Path, *scopes: Scope, name: str = "robot-7") -> str:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    """An empty file of keys."""
+    """Return a file of keys that has none."""
     found = tmp_path / "keys"
     found.write_text("# keys\n\n")
     return found
@@ -38,18 +38,18 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def client(served: tuple[Registry, LoadedModels], path: Path) -> Iterator[TestClient]:
-    """The app with keys."""
+    """Return a client of the application with keys."""
     with TestClient(create_app(Settings(keys=path, poll_interval_s=3600), served[1])) as found:
         yield found
 
 
 def bearer(key: str) -> dict[str, str]:
-    """The header."""
+    """Return the header with a key."""
     return {"Authorization": f"Bearer {key}"}
 
 
 def routes_of(routes: list[BaseRoute]) -> Iterator[Route]:
-    """Every route, those of included routers too."""
+    """Yield every route, also those of included routers."""
     for route in routes:
         if isinstance(route, Route):
             yield route
@@ -58,8 +58,8 @@ def routes_of(routes: list[BaseRoute]) -> Iterator[Route]:
             yield from routes_of(list(inner() if callable(inner) else inner))
 
 
-def test_every_route_but_health_and_documentation_wants_a_key(client: TestClient) -> None:
-    """A new route is closed unless it is named here."""
+def test_every_route_but_health_and_documentation_requires_a_key(client: TestClient) -> None:
+    """Every documented route requires a key, unless this module lists it as open."""
     document = client.get("/openapi.json").json()
     walked = 0
     for template, operations in document["paths"].items():
@@ -75,8 +75,8 @@ def test_every_route_but_health_and_documentation_wants_a_key(client: TestClient
     assert walked > 12
 
 
-def test_every_route_is_in_the_document_that_was_walked(client: TestClient) -> None:
-    """Nothing is served that the walk above does not see."""
+def test_every_route_is_in_the_document(client: TestClient) -> None:
+    """The document has every route but the open ones, so the test above sees each of them."""
     app = client.app
     paths = set(client.get("/openapi.json").json()["paths"])
     hidden = {route.path for route in routes_of(app.routes) if not isinstance(route, APIRoute)}  # type: ignore[attr-defined]
@@ -84,8 +84,8 @@ def test_every_route_is_in_the_document_that_was_walked(client: TestClient) -> N
     assert "/v1/predict" in paths
 
 
-def test_a_key_opens_what_its_scope_covers(client: TestClient, path: Path) -> None:
-    """Predict does; a key for metrics alone is known and refused."""
+def test_a_key_gives_access_to_the_routes_of_its_scope(client: TestClient, path: Path) -> None:
+    """A key with scope predict is accepted, and one with scope metrics is refused with 403."""
     key, other = grant(path, Scope.PREDICT), grant(path, Scope.METRICS)
     assert client.post("/v1/predict", json=PUSH, headers=bearer(key)).status_code == 200
     assert client.get("/v1/models", headers=bearer(key)).status_code == 200
@@ -95,7 +95,7 @@ def test_a_key_opens_what_its_scope_covers(client: TestClient, path: Path) -> No
 
 
 def test_an_unknown_key_is_refused_and_not_repeated(client: TestClient, path: Path) -> None:
-    """Nor is a known one under another word, or cut short."""
+    """An unknown key, a truncated one, or one under another scheme is refused, and the answer does not repeat it."""
     key = grant(path, Scope.PREDICT)
     for header in ("Bearer nonsense-key", f"Basic {key}", key, f"Bearer {key[:-1]}", "Bearer", ""):
         response = client.post("/v1/predict", json=PUSH, headers={"Authorization": header})
@@ -104,7 +104,7 @@ def test_an_unknown_key_is_refused_and_not_repeated(client: TestClient, path: Pa
 
 
 def test_the_file_is_read_again_when_it_changes(client: TestClient, path: Path) -> None:
-    """A key is admitted and refused without a restart."""
+    """Keys are added and revoked without a restart."""
     first = grant(path, Scope.PREDICT)
     assert client.get("/v1/models", headers=bearer(first)).status_code == 200
     path.write_text("")
@@ -114,8 +114,8 @@ def test_the_file_is_read_again_when_it_changes(client: TestClient, path: Path) 
 
 
 @pytest.mark.parametrize("content", ["robot predict short", "robot admin " + "0" * 64, "\x00", "a" * (2 << 20)])
-def test_a_file_that_is_broken_opens_nothing(path: Path, content: str) -> None:
-    """Not even what its other lines say; and mending it is enough."""
+def test_a_broken_file_accepts_no_key(path: Path, content: str) -> None:
+    """If one line is broken, the keys of other lines are refused too, until the file is repaired."""
     key = grant(path, Scope.PREDICT)
     good = path.read_text()
     keys = Keys(path)
@@ -128,8 +128,8 @@ def test_a_file_that_is_broken_opens_nothing(path: Path, content: str) -> None:
     keys.admit(f"Bearer {key}".encode(), Scope.PREDICT)
 
 
-def test_a_file_that_is_gone_opens_nothing(path: Path) -> None:
-    """And it is back when it is back."""
+def test_a_missing_file_accepts_no_key(path: Path) -> None:
+    """If the file is missing, every key is refused, until the file is back."""
     key = f"Bearer {grant(path, Scope.PREDICT)}".encode()
     keys = Keys(path)
     keys.admit(key, Scope.PREDICT)
@@ -143,7 +143,7 @@ def test_a_file_that_is_gone_opens_nothing(path: Path) -> None:
 
 
 def test_a_grant_is_its_line_and_never_its_key() -> None:
-    """What is written is read as the same, and the key is in none of it."""
+    """A grant is parsed from its own line, which does not contain the key."""
     made, key = Grant.new("robot-7", frozenset(Scope))
     assert parse(made.line()) == (made,)
     assert key not in made.line()

@@ -379,13 +379,3 @@ def test_a_draining_service_closes_the_connection_with_its_answer(loop: asyncio.
     received, closed = loop.run(run())
     assert b"connection: close" in received
     assert closed
-
-
-def test_with_a_ring_around_all_requests_there_is_no_shortcut(models: LoadedModels) -> None:
-    """A ring for spans must see every request, so the application has no shortcut."""
-
-    def ring(app: Any) -> Any:
-        """Wrap an application."""
-        return lambda *asgi: app(*asgi)
-
-    assert create_app(Settings(), models, trace=ring).shortcut is None

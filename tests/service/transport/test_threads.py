@@ -1,8 +1,7 @@
-"""Threads with a bounded queue and a deadline."""
+"""The thread pool has a bounded queue and a deadline."""
 
 import asyncio
 import threading
-from pathlib import Path
 
 import pytest
 
@@ -12,11 +11,11 @@ from service.transport.threads import ThreadPool, threads_beside_the_loop
 
 
 def test_a_function_runs_in_a_thread() -> None:
-    """Its result and its errors come back."""
+    """A result and an error of a function in a thread reach the caller."""
     pool = ThreadPool(1, 0, 10.0)
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         assert await pool.run(threading.current_thread) is not threading.main_thread()
         with pytest.raises(ZeroDivisionError):
             await pool.run(divmod, 1, 0)
@@ -25,12 +24,12 @@ def test_a_function_runs_in_a_thread() -> None:
     pool.close()
 
 
-def test_what_does_not_fit_the_queue_is_refused_at_once() -> None:
-    """One runs, one waits, the third is told; when they are done there is room again."""
+def test_a_job_beyond_the_queue_is_refused_at_once() -> None:
+    """With one running and one waiting job, a third is refused, and accepted once they are done."""
     pool, release = ThreadPool(1, 1, 10.0), threading.Event()
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         first, second = (asyncio.ensure_future(pool.run(release.wait)) for _ in range(2))
         await asyncio.sleep(0)
         with pytest.raises(OverloadedError):
@@ -43,12 +42,12 @@ def test_what_does_not_fit_the_queue_is_refused_at_once() -> None:
     pool.close()
 
 
-def test_what_waits_too_long_is_told_and_never_begun() -> None:
-    """The deadline counts waiting; a thread that is taken stays counted until it is free."""
+def test_a_job_that_waits_too_long_is_refused_and_never_begun() -> None:
+    """The deadline includes the wait, and a busy thread counts as a job until it is free."""
     pool, release, begun = ThreadPool(1, 1, 0.05), threading.Event(), threading.Event()
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         holding = asyncio.ensure_future(pool.run(release.wait))
         await asyncio.sleep(0)
         with pytest.raises(DeadlineError):
@@ -62,12 +61,12 @@ def test_what_waits_too_long_is_told_and_never_begun() -> None:
     assert not begun.is_set()
 
 
-def test_who_leaves_takes_along_what_has_not_begun() -> None:
-    """A client that hung up is not worked for; what runs for it ends by itself, and is told to nobody."""
+def test_a_cancelled_job_that_has_not_begun_is_dropped() -> None:
+    """If a client disconnects, its waiting job never begins, and its running job ends without an effect."""
     pool, release, begun = ThreadPool(1, 1, 10.0), threading.Event(), threading.Event()
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         tasks = [asyncio.ensure_future(pool.run(work)) for work in (release.wait, begun.set)]
         await asyncio.sleep(0)
         for task in tasks:
@@ -83,11 +82,11 @@ def test_who_leaves_takes_along_what_has_not_begun() -> None:
 
 
 def test_a_thread_that_outlives_the_loop_is_silent(caplog: pytest.LogCaptureFixture) -> None:
-    """Its caller was told of the deadline, and the service has ended since."""
+    """A job that ends after its deadline and after the event loop logs no error."""
     pool, release = ThreadPool(1, 0, 0.01), threading.Event()
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         with pytest.raises(DeadlineError):
             await pool.run(release.wait)
 
@@ -100,16 +99,6 @@ def test_a_thread_that_outlives_the_loop_is_silent(caplog: pytest.LogCaptureFixt
     assert caplog.text == ""
 
 
-@pytest.mark.parametrize(
-    ("content", "expected"), [("100000 100000", 1), ("10000 100000", 1), ("max 100000", None), ("?", None)]
-)
-def test_threads_follow_the_containers_quota(tmp_path: Path, content: str, expected: int | None) -> None:
-    """A part of a processor is one thread; no quota is what the process is bound to."""
-    path = tmp_path / "cpu.max"
-    path.write_text(content)
-    assert processors(path) == (expected or processors(tmp_path / "absent"))
-
-
-def test_the_event_loop_is_left_a_processor_where_there_are_two() -> None:
-    """Work in threads leaves it one; where there is but one, they share it."""
+def test_a_processor_is_left_to_the_event_loop() -> None:
+    """The pool has one thread less than there are processors, but at least one."""
     assert threads_beside_the_loop() == max(1, processors() - 1)
