@@ -1,4 +1,4 @@
-"""Models in memory: verified before they are reachable, swapped whole, kept when what follows is broken."""
+"""Models in memory are verified before they are reachable, and kept if their successors are broken."""
 
 import os
 import shutil
@@ -14,7 +14,7 @@ from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, Tensor
 from service.pushing.contexts import ObjectContext, VisualContext
 from service.registry.registry import Registry
-from tests.fakes import BROKEN, LYING, STD, FakePredictor, fake_models, load_fake, predict_push, publish_fake
+from tests.fakes import BROKEN, LYING, FakePredictor, fake_models, load_fake, predict_push, publish_fake
 
 NAME = "push-indicator"
 CHAMPION = ModelReference.parse(NAME)
@@ -23,37 +23,20 @@ OBJECT = ObjectContext.from_descriptor("1a2b3c4a")
 
 @pytest.fixture
 def registry(tmp_path: Path) -> Registry:
-    """A registry of fakes."""
+    """Return a registry of fake models."""
     return fake_models(tmp_path / "models")[0]
 
 
 @pytest.fixture
 def models(registry: Registry) -> LoadedModels:
-    """What serves it."""
+    """Return its loaded models."""
     loaded = LoadedModels(registry, load_fake)
     loaded.refresh()
     return loaded
 
 
-def test_a_push_is_predicted_in_domain_values(models: LoadedModels) -> None:
-    """Poses in, a Gaussian out; the context reaches the predictor, the angle comes out wrapped."""
-    (x_m, _, angle_rad), std = predict_push(models.snapshot.find(CHAMPION), (-0.08, 0.02, 0.0), OBJECT)
-    turned = 8.0 - 6.283185307179586  # eight ones in an indicator
-    assert x_m == pytest.approx(0.008)
-    assert angle_rad == pytest.approx(turned, abs=1e-6)
-    assert std == pytest.approx(list(STD))
-
-
-def test_the_context_must_be_of_the_models_kind(models: LoadedModels) -> None:
-    """A context for a model without, and none for a model with, are the caller's mistakes."""
-    with pytest.raises(ContextKindError, match="kind none"):
-        predict_push(models.snapshot.find(CHAMPION), (0.0, 0.0, 0.0), None)
-    with pytest.raises(ContextKindError, match="kind indicator"):
-        predict_push(models.snapshot.find_default(ContextKind.NONE), (0.0, 0.0, 0.0), OBJECT)
-
-
-def test_a_visual_model_passes_its_self_check_and_takes_views(registry: Registry) -> None:
-    """The stored context is a flat row; what reaches the predictor is an image of one channel."""
+def test_a_visual_model_is_loaded_and_predicts(registry: Registry) -> None:
+    """The flat context of a stored self-check reaches the predictor as an image of one channel."""
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     loaded = LoadedModels(registry, load_fake)
     loaded.refresh()
@@ -64,29 +47,16 @@ def test_a_visual_model_passes_its_self_check_and_takes_views(registry: Registry
         predict_push(model, (0.0, 0.0, 0.0), OBJECT)
 
 
-def test_before_the_first_look_nothing_is_ready(registry: Registry) -> None:
-    """Asking too early is told so, not 'unknown'."""
+def test_no_model_is_ready_before_the_first_poll(registry: Registry) -> None:
+    """A reference before the first poll is not ready, instead of unknown."""
     with pytest.raises(ModelNotReadyError):
         LoadedModels(registry, load_fake).snapshot.find(CHAMPION)
 
 
-def test_each_kind_of_context_has_its_default_model(models: LoadedModels) -> None:
-    """Who names no model gets the champion for what is known of the object."""
-    assert models.snapshot.find_default(ContextKind.INDICATOR).manifest.name == NAME
-    assert models.snapshot.find_default(ContextKind.NONE).manifest.name == "push-none"
-
-
-@pytest.mark.parametrize("text", ["nobody", f"{NAME}@9", f"{NAME}@canary"])
-def test_what_is_not_served_is_unknown_and_the_error_lists_what_is(models: LoadedModels, text: str) -> None:
-    """Model, version or alias."""
-    with pytest.raises(UnknownModelError, match="push-indicator@1, push-none@1"):
-        models.snapshot.find(ModelReference.parse(text))
-
-
-def test_a_new_version_and_a_moved_alias_are_served_after_the_next_look(
+def test_a_new_version_and_a_moved_alias_are_served_after_the_next_poll(
     registry: Registry, models: LoadedModels
 ) -> None:
-    """The version is reachable at once by number; the name follows its alias."""
+    """A new version is reachable by its number at once, and by the name of the model once the alias names it."""
     publish_fake(registry, alias=None)
     models.refresh()
     assert models.snapshot.find(CHAMPION).manifest.version == 1
@@ -97,7 +67,7 @@ def test_a_new_version_and_a_moved_alias_are_served_after_the_next_look(
 
 
 def test_a_request_keeps_the_snapshot_that_it_started_with(registry: Registry, models: LoadedModels) -> None:
-    """A swap in the middle of a request changes nothing for it."""
+    """A swap during a request does not change its models."""
     before = models.snapshot
     publish_fake(registry)
     models.refresh()
@@ -105,8 +75,8 @@ def test_a_request_keeps_the_snapshot_that_it_started_with(registry: Registry, m
     assert models.snapshot.find(CHAMPION).manifest.version == 2
 
 
-def test_what_is_loaded_is_not_loaded_again(registry: Registry, models: LoadedModels) -> None:
-    """A look that finds something new keeps the predictors it has."""
+def test_a_loaded_version_is_not_loaded_again(registry: Registry, models: LoadedModels) -> None:
+    """A poll that finds a new version keeps the predictors of the others."""
     before = models.snapshot.find(CHAMPION).predictor
     publish_fake(registry, alias=None)
     models.refresh()
@@ -114,8 +84,8 @@ def test_what_is_loaded_is_not_loaded_again(registry: Registry, models: LoadedMo
 
 
 @pytest.mark.parametrize("model", [BROKEN, LYING], ids=["does not load", "fails its self-check"])
-def test_a_broken_version_is_not_served_and_says_why(registry: Registry, models: LoadedModels, model: bytes) -> None:
-    """It passes its digests and is refused all the same; what was served before goes on."""
+def test_a_broken_version_is_not_served_and_listed(registry: Registry, models: LoadedModels, model: bytes) -> None:
+    """A version that fails to load is listed with its reason, and its alias keeps the previous version."""
     publish_fake(registry, model=model)
     models.refresh()
     assert models.snapshot.find(CHAMPION).manifest.version == 1
@@ -125,8 +95,8 @@ def test_a_broken_version_is_not_served_and_says_why(registry: Registry, models:
         models.snapshot.find(ModelReference.parse(f"{NAME}@2"))
 
 
-def test_a_mended_registry_is_noticed_without_a_change_of_folders(registry: Registry, models: LoadedModels) -> None:
-    """As long as something is wrong, every look looks again."""
+def test_a_repaired_version_is_loaded_at_the_next_poll(registry: Registry, models: LoadedModels) -> None:
+    """While there are problems, each poll reads all files, even if no folder changed."""
     publish_fake(registry)
     file = registry.root / NAME / "2" / "model.onnx"
     content = file.read_bytes()
@@ -139,8 +109,8 @@ def test_a_mended_registry_is_noticed_without_a_change_of_folders(registry: Regi
     assert models.snapshot.find(CHAMPION).manifest.version == 2
 
 
-def test_a_registry_that_is_gone_unloads_nothing(registry: Registry, models: LoadedModels) -> None:
-    """A storage blip is a problem to report, not a reason to stop serving."""
+def test_a_missing_registry_unloads_no_model(registry: Registry, models: LoadedModels) -> None:
+    """An outage of the storage is reported, and the loaded models stay served."""
     shutil.move(registry.root, registry.root.with_name("away"))
     models.refresh()
     assert models.snapshot.find(CHAMPION).manifest.version == 1
@@ -151,10 +121,10 @@ def test_a_registry_that_is_gone_unloads_nothing(registry: Registry, models: Loa
 
 
 @pytest.mark.parametrize("gone", ["", NAME, f"{NAME}/1", f"{NAME}/aliases", f"{NAME}/aliases/champion"])
-def test_what_vanishes_without_being_removed_goes_on_being_served(
+def test_files_that_vanish_without_being_removed_stay_served(
     registry: Registry, models: LoadedModels, tmp_path: Path, gone: str
 ) -> None:
-    """A mount that leaves an empty folder behind, a model, a version, an alias: a problem, and no one is unloaded."""
+    """If a registry, model, version or alias vanishes, it stays served, and the problem is listed."""
     path = registry.root / gone
     shutil.move(path, tmp_path / "away")
     if not gone:
@@ -171,8 +141,8 @@ def test_what_vanishes_without_being_removed_goes_on_being_served(
     assert models.snapshot.problems == ()
 
 
-def test_what_was_removed_is_let_go(registry: Registry, models: LoadedModels) -> None:
-    """A removed version and a dropped alias leave the memory without a word."""
+def test_a_removed_version_is_released(registry: Registry, models: LoadedModels) -> None:
+    """A removed version and a dropped alias are released, which is not a problem."""
     publish_fake(registry, alias="canary")
     models.refresh()
     registry.drop_alias(NAME, "canary")
@@ -182,8 +152,8 @@ def test_what_was_removed_is_let_go(registry: Registry, models: LoadedModels) ->
     assert models.snapshot.problems == ()
 
 
-def test_a_change_that_no_folder_tells_of_is_found_in_time(registry: Registry, models: LoadedModels) -> None:
-    """An alias edited in place by hand is noticed by the thorough look."""
+def test_a_change_without_a_new_fingerprint_is_found_later(registry: Registry, models: LoadedModels) -> None:
+    """An alias that is edited in place is found by the thorough poll."""
     publish_fake(registry, alias=None)
     models.refresh()
     modified = (registry.root / NAME).stat().st_mtime_ns
@@ -194,8 +164,8 @@ def test_a_change_that_no_folder_tells_of_is_found_in_time(registry: Registry, m
     assert models.snapshot.find(CHAMPION).manifest.version == 2
 
 
-def test_an_empty_registry_is_not_ready_and_is_filled_later(tmp_path: Path) -> None:
-    """Starting before the first model is published is no failure."""
+def test_an_empty_registry_may_be_filled_later(tmp_path: Path) -> None:
+    """A service that starts before the first publication serves the model after the next poll."""
     (tmp_path / "models").mkdir()
     registry = Registry(tmp_path / "models")
     models = LoadedModels(registry, load_fake)
@@ -207,7 +177,7 @@ def test_an_empty_registry_is_not_ready_and_is_filled_later(tmp_path: Path) -> N
 
 
 def test_old_versions_are_released_unless_an_alias_names_them(registry: Registry) -> None:
-    """Memory holds the newest few and what aliases mean."""
+    """Memory holds the newest few versions, and those that an alias names."""
     models = LoadedModels(registry, load_fake, newest_versions=2)
     for _ in range(4):
         publish_fake(registry, alias=None)
@@ -218,8 +188,8 @@ def test_old_versions_are_released_unless_an_alias_names_them(registry: Registry
     assert models.snapshot.versions(NAME) == [4, 5]
 
 
-def test_a_predictor_is_only_made_from_verified_bytes(registry: Registry) -> None:
-    """The factory never sees a byte whose digest was not compared."""
+def test_a_predictor_is_created_from_verified_bytes_only(registry: Registry) -> None:
+    """The factory never gets bytes whose digest differs from the manifest."""
     seen: list[bytes] = []
 
     def load(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> FakePredictor:
@@ -232,16 +202,16 @@ def test_a_predictor_is_only_made_from_verified_bytes(registry: Registry) -> Non
     assert seen == [b"fine", b"fine"]
 
 
-def test_models_are_values(models: LoadedModels) -> None:
-    """What is served cannot be changed in place."""
+def test_loaded_models_are_immutable(models: LoadedModels) -> None:
+    """A loaded model is a value, and its fields cannot be set."""
     model = models.snapshot.find(CHAMPION)
     assert replace(model) == model
     with pytest.raises(AttributeError):
         model.card = "other"  # type: ignore[misc]
 
 
-def test_an_alias_that_is_new_is_a_load_and_no_swap(tmp_path: Path) -> None:
-    """A swap is a change of what was served; looking twice counts nothing twice."""
+def test_loads_and_swaps_are_counted_once(tmp_path: Path) -> None:
+    """A new alias counts as a load and not as a swap, and a second poll counts no change again."""
     registry, models = fake_models(tmp_path / "models")
     models.refresh()
     assert (models.counters.loads["push-indicator"], models.counters.swaps["push-indicator", "champion"]) == (1, 0)
@@ -251,8 +221,8 @@ def test_an_alias_that_is_new_is_a_load_and_no_swap(tmp_path: Path) -> None:
     assert (models.counters.loads["push-indicator"], models.counters.swaps["push-indicator", "champion"]) == (2, 1)
 
 
-def test_a_registry_is_down_until_it_is_seen(tmp_path: Path) -> None:
-    """And up again as soon as it is."""
+def test_the_state_of_the_registry_is_that_of_the_last_poll(tmp_path: Path) -> None:
+    """The registry is down while it cannot be read, and up again after the next poll that reads it."""
     models = LoadedModels(Registry(tmp_path / "models"), load_fake)
     models.refresh()
     assert (models.counters.registry_up, models.counters.registry_failures) == (False, 1)

@@ -1,4 +1,4 @@
-"""Single pushes of one turn of the event loop: one call of the runtime, and each gets its own answer."""
+"""Single pushes of one iteration of the event loop run in one call of the runtime, with an answer each."""
 
 import asyncio
 from pathlib import Path
@@ -14,63 +14,64 @@ from service.inference.snapshot import Snapshot
 from service.model.tensors import ContextKind
 from service.observability.timings import Timings, collect_timings
 from service.schemas.pushes import PredictRequest
-from tests.fakes import CHECKED_PUSH, FAILING, FakePredictor, fake_models, publish_fake
+from tests.fakes import BUGGY, CHECKED_PUSH, FAILING, FakePredictor, fake_models, publish_fake
 
 
 @pytest.fixture
 def models(tmp_path: Path) -> Snapshot:
-    """Fakes of every kind, and one that fails but for the push of its self-check."""
+    """Return fake models of every kind, and one that fails except in its self-check."""
     registry, found = fake_models(tmp_path / "models")
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     publish_fake(registry, "push-failing", ContextKind.NONE, model=FAILING)
+    publish_fake(registry, "push-buggy", ContextKind.NONE, model=BUGGY)
     found.refresh()
     return found.snapshot
 
 
 def request(number: int = 0, **body: Any) -> PredictRequest:
-    """A push of its own."""
+    """Return a request for a push that differs by its number."""
     pusher = {"x": -0.08 + 0.001 * (number % 100), "y": 0.001 * (number // 100), "angle": 0.0}
     return PredictRequest.model_validate({"pusher": pusher} | body)
 
 
-def gathered(models: Snapshot, requests: list[PredictRequest]) -> list[Answer | BaseException]:
-    """The outcomes of requests of one turn."""
+def answered(models: Snapshot, requests: list[PredictRequest]) -> list[Answer | BaseException]:
+    """Answer requests of one iteration, and return their outcomes."""
 
     async def together() -> list[Answer | BaseException]:
-        """All in one turn."""
+        """Answer all of them together."""
         batcher = MicroBatcher()
-        asked = (batcher.answer(ask_single(models, one)) for one in requests)
-        return await asyncio.wait_for(asyncio.gather(*asked, return_exceptions=True), 10.0)
+        answers = (batcher.answer(ask_single(models, one)) for one in requests)
+        return await asyncio.wait_for(asyncio.gather(*answers, return_exceptions=True), 10.0)
 
     return asyncio.run(together())
 
 
 def calls(models: Snapshot, name: str) -> list[int]:
-    """How many pushes each call of a fake was about, its self-check left out."""
+    """Return the number of pushes in each call of a fake predictor, without its self-check."""
     predictor = models.models[name, 1].predictor
     assert isinstance(predictor, FakePredictor)
     return [len(pushers) for pushers in predictor.calls[1:]]
 
 
-def test_pushes_of_a_turn_are_one_call_with_an_answer_each(models: Snapshot) -> None:
-    """Of two objects and of one, in the world and on the object: what each gets alone."""
+def test_pushes_of_an_iteration_are_one_call(models: Snapshot) -> None:
+    """Pushes of several objects and frames share a call, and each gets the answer that it gets alone."""
     descriptors = ("1a2b3c4a", "4a4a4a4a")
     requests = [request(n, context={"descriptor": descriptors[n % 2]}) for n in range(9)]
     requests.append(request(1, context={"descriptor": "1a2b3c4a"}, object_pose={"x": 0.01, "y": 0.0, "angle": 1.0}))
 
-    answers = gathered(models, requests)
+    answers = answered(models, requests)
 
     assert calls(models, "push-indicator") == [10]
     assert answers == [ask_single(models, one).answer() for one in requests]
     assert len({answer.content for answer in answers if isinstance(answer, Answer)}) == 10
 
 
-def test_models_and_kinds_of_object_have_a_call_each(models: Snapshot) -> None:
-    """Pushes for different models stand beside each other in nothing."""
+def test_each_model_has_its_own_call(models: Snapshot) -> None:
+    """Pushes for different models are never in the same call."""
     visual = {"visual": [[0.5] * 32] * 32}
     requests = [request(0), request(1, context={"descriptor": "1a2b3c4a"}), request(2, context=visual), request(3)]
 
-    answers = gathered(models, requests)
+    answers = answered(models, requests)
 
     assert [answer.model for answer in answers if isinstance(answer, Answer)] == [
         "push-none",
@@ -81,51 +82,47 @@ def test_models_and_kinds_of_object_have_a_call_each(models: Snapshot) -> None:
     assert [calls(models, f"push-{kind}") for kind in ("none", "indicator", "visual")] == [[2], [1], [1]]
 
 
-def test_a_crowd_is_more_than_one_call(models: Snapshot) -> None:
-    """So that no call holds the loop for long."""
-    answers = gathered(models, [request(number) for number in range(2 * MAX_PUSHES_PER_CALL + 1)])
+def test_a_call_has_a_maximum_of_pushes(models: Snapshot) -> None:
+    """Many pushes are split into several calls, so that no call holds the event loop for long."""
+    answers = answered(models, [request(number) for number in range(2 * MAX_PUSHES_PER_CALL + 1)])
 
     assert calls(models, "push-none") == [MAX_PUSHES_PER_CALL, MAX_PUSHES_PER_CALL, 1]
     assert all(isinstance(answer, Answer) for answer in answers)
 
 
-def test_a_push_that_fails_does_not_spoil_its_neighbours(models: Snapshot) -> None:
-    """It is told so, and the others are answered."""
+def test_a_failing_push_does_not_fail_others(models: Snapshot) -> None:
+    """A push that fails gets its error, and the other pushes of its call are answered."""
     x, y, angle = CHECKED_PUSH
     fine = {"pusher": {"x": x, "y": y, "angle": angle}, "model": "push-failing"}
     requests = [request(5, model="push-failing"), PredictRequest.model_validate(fine), request(6)]
 
-    failed, *answered = gathered(models, requests)
+    failed, *others = answered(models, requests)
 
     assert isinstance(failed, PredictionError)
-    assert all(isinstance(answer, Answer) for answer in answered)
+    assert all(isinstance(answer, Answer) for answer in others)
 
 
-def test_a_context_of_the_wrong_kind_is_told_to_each(models: Snapshot) -> None:
-    """As if it had been alone."""
+def test_each_push_with_a_wrong_kind_of_context_gets_its_error(models: Snapshot) -> None:
+    """Pushes with a wrong kind of context fail alone, and others are answered."""
     wrong = request(0, context={"descriptor": "1a2b3c4a"}, model="push-none")
 
-    outcomes = gathered(models, [wrong, wrong, request(1, model="push-none")])
+    outcomes = answered(models, [wrong, wrong, request(1, model="push-none")])
 
     assert [type(outcome) for outcome in outcomes] == [ContextKindError, ContextKindError, Answer]
 
 
-def test_whatever_breaks_nobody_is_left_waiting(models: Snapshot) -> None:
-    """Not even by an error that nobody expects."""
-    broken = models.models["push-none", 1]
-    assert isinstance(broken.predictor, FakePredictor)
-    broken.predictor.calls = None  # type: ignore[assignment]  # so that every call raises AttributeError
+def test_an_unexpected_exception_reaches_every_push(models: Snapshot) -> None:
+    """A bug in the predictor raises its exception for each push, so that no client waits for ever."""
+    outcomes = answered(models, [request(1, model="push-buggy"), request(2, model="push-buggy")])
 
-    outcomes = gathered(models, [request(0), request(1)])
-
-    assert [type(outcome) for outcome in outcomes] == [AttributeError, AttributeError]
+    assert [type(outcome) for outcome in outcomes] == [ZeroDivisionError, ZeroDivisionError]
 
 
-def test_who_left_is_not_answered_and_disturbs_nobody(models: Snapshot) -> None:
-    """A client that goes away before its turn is over."""
+def test_a_cancelled_push_does_not_affect_others(models: Snapshot) -> None:
+    """If a client disconnects before the end of the iteration, the other pushes are answered."""
 
     async def scenario() -> Answer:
-        """One leaves, one stays."""
+        """Cancel one of two pushes."""
         batcher = MicroBatcher()
         leaving = asyncio.create_task(batcher.answer(ask_single(models, request(0))))
         staying = asyncio.create_task(batcher.answer(ask_single(models, request(1))))
@@ -136,18 +133,18 @@ def test_who_left_is_not_answered_and_disturbs_nobody(models: Snapshot) -> None:
     assert asyncio.run(scenario()) == ask_single(models, request(1)).answer()
 
 
-def test_every_request_tells_what_the_call_took(models: Snapshot) -> None:
-    """Once each, in its own parts."""
+def test_each_request_records_the_time_of_its_call(models: Snapshot) -> None:
+    """Each request of a call records one inference time."""
 
     async def one(batcher: MicroBatcher, number: int) -> Timings:
-        """A request that listens."""
+        """Run a request that collects its timings."""
         timings: Timings = []
         collect_timings(timings)
         await batcher.answer(ask_single(models, request(number)))
         return timings
 
     async def scenario() -> list[Timings]:
-        """Three of them."""
+        """Run three requests."""
         batcher = MicroBatcher()
         return await asyncio.gather(*(asyncio.create_task(one(batcher, number)) for number in range(3)))
 
@@ -156,13 +153,50 @@ def test_every_request_tells_what_the_call_took(models: Snapshot) -> None:
     assert [[phase for phase, _ in timings] for timings in found] == [["inference"]] * 3
 
 
-def test_a_turn_after_another_is_asked_too(models: Snapshot) -> None:
-    """Nothing of the first is left in the second."""
+def test_successive_iterations_are_answered(models: Snapshot) -> None:
+    """An iteration leaves no push behind for the next one."""
 
     async def scenario() -> list[Answer]:
-        """One after the other."""
+        """Answer one after the other."""
         batcher = MicroBatcher()
         return [await batcher.answer(ask_single(models, request(number))) for number in range(2)]
 
     assert asyncio.run(scenario()) == [ask_single(models, request(number)).answer() for number in range(2)]
     assert calls(models, "push-none") == [1, 1, 1, 1]
+
+
+def test_an_error_reaches_its_callback_at_the_end_of_the_iteration() -> None:
+    """A push that cannot be submitted fails together with the others, and not before."""
+    outcomes: list[object] = []
+
+    async def scenario() -> list[object]:
+        """Fail two pushes, and flush none of them by hand."""
+        batcher = MicroBatcher()
+        for error in (ValueError(), KeyError()):
+            batcher.fail(error, outcomes.append)
+        before = list(outcomes)
+        await asyncio.sleep(0)
+        return before
+
+    assert asyncio.run(scenario()) == []
+    assert [type(outcome) for outcome in outcomes] == [ValueError, KeyError]
+
+
+def test_a_callback_that_raises_does_not_affect_others(models: Snapshot, caplog: pytest.LogCaptureFixture) -> None:
+    """A bug in one callback is logged, and the other callbacks are called."""
+    outcomes: list[object] = []
+
+    def fail(_: object) -> None:
+        """Raise an exception."""
+        raise ZeroDivisionError
+
+    async def scenario() -> None:
+        """Submit two pushes."""
+        batcher = MicroBatcher()
+        for callback in (fail, outcomes.append):
+            batcher.submit(ask_single(models, request()), callback)
+        batcher.flush()
+
+    asyncio.run(scenario())
+    assert len(outcomes) == 1
+    assert "an answer was lost" in caplog.text

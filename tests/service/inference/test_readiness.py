@@ -1,4 +1,4 @@
-"""Readiness that tells the truth, and by which a service comes back by itself."""
+"""Readiness follows the self-checks of the loaded models, in both directions."""
 
 import asyncio
 import shutil
@@ -20,8 +20,8 @@ from tests.fakes import FakePredictor, load_fake, publish_fake
 
 
 @dataclass
-class Fickle(FakePredictor):
-    """Fails, hangs or has a bug, when told to."""
+class FaultyPredictor(FakePredictor):
+    """A predictor with a fault that a test sets: it fails, lies, hangs or has a bug."""
 
     fault: list[str] = field(default_factory=list)
     released: threading.Event = field(default_factory=threading.Event)
@@ -41,17 +41,17 @@ class Fickle(FakePredictor):
 
 
 @pytest.fixture
-def fickle() -> Fickle:
-    """The predictor of the only model."""
-    return Fickle(b"", takes_context=True)
+def predictor() -> FaultyPredictor:
+    """Return the predictor of the only model."""
+    return FaultyPredictor(b"", takes_context=True)
 
 
 @pytest.fixture
-def models(tmp_path: Path, fickle: Fickle) -> LoadedModels:
-    """What serves it."""
+def models(tmp_path: Path, predictor: FaultyPredictor) -> LoadedModels:
+    """Return the loaded models of a registry with one model."""
     registry = Registry(tmp_path / "models")
     publish_fake(registry)
-    found = LoadedModels(registry, lambda *_: fickle)
+    found = LoadedModels(registry, lambda *_: predictor)
     found.refresh()
     return found
 
@@ -61,48 +61,48 @@ def models(tmp_path: Path, fickle: Fickle) -> LoadedModels:
     [("fails", "cannot be run"), ("lies", "differs by more"), ("hangs", "did not end within"), ("has a bug", "log")],
 )
 def test_a_model_that_stops_answering_is_not_ready_until_it_answers_again(
-    models: LoadedModels, fickle: Fickle, fault: str, reason: str
+    models: LoadedModels, predictor: FaultyPredictor, fault: str, reason: str
 ) -> None:
-    """Loaded and checked is not enough: the timer's tiny inference must be right, and in time."""
+    """A model is ready again as soon as its self-check passes in time, whatever its fault was."""
     readiness = Readiness(models, 2.0, 0.05)
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         await readiness.probe()
         assert (readiness.is_ready(), readiness.reason()) == (True, None)
-        fickle.fault.append(fault)
+        predictor.fault.append(fault)
         await readiness.probe()
         (check,) = readiness.checks()
         assert not check.ready
         assert reason in str(check.reason)
         assert "not ready, looking again every 2 s, because push-indicator@1" in str(readiness.reason())
         assert readiness.failures["push-indicator"] == 1
-        fickle.fault.clear()
-        fickle.released.set()
+        predictor.fault.clear()
+        predictor.released.set()
         while not readiness.is_ready():
             await readiness.probe()
 
     asyncio.run(scenario())
 
 
-def test_a_hanging_model_takes_one_thread_however_often_it_is_asked(models: LoadedModels, fickle: Fickle) -> None:
-    """The inference that did not end is waited for, not asked again."""
+def test_a_hanging_model_takes_one_thread(models: LoadedModels, predictor: FaultyPredictor) -> None:
+    """A self-check that did not end is awaited, and not started again."""
     readiness = Readiness(models, 2.0, 0.01)
-    fickle.fault.append("hangs")
+    predictor.fault.append("hangs")
 
     async def scenario() -> None:
-        """What happens, in the loop."""
+        """Run the scenario in an event loop."""
         before = threading.active_count()
         for _ in range(5):
             await readiness.probe()
         assert threading.active_count() == before + 1
-        fickle.released.set()
+        predictor.released.set()
 
     asyncio.run(scenario())
 
 
-def test_an_empty_registry_is_told_and_left_alone_once_it_is_filled(tmp_path: Path) -> None:
-    """503 with the reason and what is being done; the first model makes it 200, without a restart."""
+def test_an_empty_registry_is_not_ready_until_it_is_filled(tmp_path: Path) -> None:
+    """An empty registry is a 503 with its reason, and the first model makes it a 200 without a restart."""
     models = LoadedModels(Registry(tmp_path / "models"), load_fake)
     with TestClient(create_app(Settings(poll_interval_s=0.02), models)) as client:
         response = client.get("/readyz")
@@ -119,8 +119,8 @@ def test_an_empty_registry_is_told_and_left_alone_once_it_is_filled(tmp_path: Pa
         ]
 
 
-def test_a_registry_that_is_gone_ends_nothing(models: LoadedModels, tmp_path: Path) -> None:
-    """What is loaded goes on being served, and readiness names the problem."""
+def test_a_missing_registry_leaves_the_service_ready(models: LoadedModels, tmp_path: Path) -> None:
+    """Loaded models stay served, and readiness lists the problem."""
     with TestClient(create_app(Settings(poll_interval_s=0.02), models)) as client:
         shutil.rmtree(tmp_path / "models")
         while not client.get("/readyz").json()["problems"]:
@@ -128,19 +128,19 @@ def test_a_registry_that_is_gone_ends_nothing(models: LoadedModels, tmp_path: Pa
         assert client.get("/readyz").status_code == 200
 
 
-def test_a_version_that_cannot_be_asked_is_not_ready_for_v2_clients(models: LoadedModels, fickle: Fickle) -> None:
-    """KServe and Triton clients ask model by model."""
+def test_a_failing_version_is_not_ready_under_v2(models: LoadedModels, predictor: FaultyPredictor) -> None:
+    """Clients of KServe and Triton read the readiness of each model."""
     with TestClient(create_app(Settings(poll_interval_s=3600, probe_interval_s=0.02), models)) as client:
         assert client.get("/v2/models/push-indicator/ready").status_code == 200
-        fickle.fault.append("fails")
+        predictor.fault.append("fails")
         while client.get("/v2/models/push-indicator/ready").status_code == 200:
             pass
         assert "cannot be run" in client.get("/v2/models/push-indicator/versions/1/ready").json()["error"]
         assert client.get("/readyz").status_code == 503
 
 
-def test_the_end_makes_it_unready_whatever_is_loaded(models: LoadedModels) -> None:
-    """A load balancer that asks sends nothing more."""
+def test_a_draining_service_is_not_ready(models: LoadedModels) -> None:
+    """After SIGTERM, readiness tells a load balancer to send no more requests."""
     app = create_app(Settings(poll_interval_s=3600), models)
     with TestClient(app) as client:
         app.parts.readiness.drain()
@@ -148,15 +148,15 @@ def test_the_end_makes_it_unready_whatever_is_loaded(models: LoadedModels) -> No
         assert (response.status_code, "SIGTERM" in response.json()["reason"]) == (503, True)
 
 
-def test_a_registry_that_hangs_delays_no_sign_of_life(tmp_path: Path) -> None:
-    """A network disk that does not answer at the start: /livez answers, /readyz says that it was not read yet."""
+def test_a_hanging_registry_does_not_delay_liveness(tmp_path: Path) -> None:
+    """If the registry does not answer at the start, /livez answers, and /readyz reports that it was not read yet."""
     released = threading.Event()
 
     class Hanging(Registry):
         """A registry whose disk does not answer."""
 
         def fingerprint(self) -> object:
-            """When it is allowed to."""
+            """Wait until the test allows it."""
             released.wait()
             return super().fingerprint()
 
