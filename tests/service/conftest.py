@@ -1,4 +1,4 @@
-"""The real app over fake models."""
+"""The whole application over fake models."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,13 +15,13 @@ from tests.fakes import fake_models
 
 @pytest.fixture
 def served(tmp_path: Path) -> tuple[Registry, LoadedModels]:
-    """A registry of fakes and what serves it."""
+    """Return a registry of fake models with its loaded models."""
     return fake_models(tmp_path / "models")
 
 
 @pytest.fixture
 def client(served: tuple[Registry, LoadedModels]) -> Iterator[TestClient]:
-    """A client of the whole app, errors of the server turned into answers as uvicorn would."""
+    """Return a client of the whole application, to which exceptions of the server are answers, as with uvicorn."""
     app = create_app(Settings(max_body_bytes=4096, poll_interval_s=3600), served[1])
     with TestClient(app, raise_server_exceptions=False) as found:
         yield found

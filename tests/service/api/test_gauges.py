@@ -1,4 +1,4 @@
-"""The rooms' own numbers, by the names of dashboards and alerts."""
+"""Gauges and counters have the names that dashboards and alerts use."""
 
 import re
 from pathlib import Path
@@ -12,12 +12,12 @@ from tests.fakes import BROKEN, fake_models, load_fake, publish_fake
 
 
 def scrape(models: LoadedModels) -> str:
-    """The text of a service over these models."""
+    """Return the text of a scrape of a service over these models."""
     return render(create_app(Settings(), models).parts.metrics).decode()
 
 
 def test_loads_swaps_releases_and_failures_are_counted(tmp_path: Path) -> None:
-    """A new champion is a load and a swap; a broken one a failure at every look; what nobody names is released."""
+    """A new champion is a load and a swap, a broken version a failure at each poll, and an old version a release."""
     registry, _ = fake_models(tmp_path / "models")
     models = LoadedModels(registry, load_fake, newest_versions=1)
     models.refresh()
@@ -39,7 +39,7 @@ def test_loads_swaps_releases_and_failures_are_counted(tmp_path: Path) -> None:
 
 
 def test_a_registry_that_cannot_be_read_is_down_and_counted(tmp_path: Path) -> None:
-    """What an alert asks."""
+    """Gauges and counters that alerts use show a registry that cannot be read."""
     models = LoadedModels(Registry(tmp_path / "gone"), load_fake)
     for _ in range(3):
         models.refresh()
@@ -49,8 +49,8 @@ def test_a_registry_that_cannot_be_read_is_down_and_counted(tmp_path: Path) -> N
     assert "\ncazsl_ready 0.0\n" in text
 
 
-def test_every_metric_stands_in_the_documentation_and_no_other(tmp_path: Path, project_root: Path) -> None:
-    """docs/operations.md lists the names, with what they mean, as the service has them."""
+def test_the_documentation_lists_every_metric(tmp_path: Path, project_root: Path) -> None:
+    """docs/operations.md lists exactly the metrics of the service, with their meanings."""
     text = scrape(fake_models(tmp_path / "models")[1])
     real = set(re.findall(r"^# TYPE (cazsl_\w+) ", text, re.MULTILINE))
     listed = (project_root / "docs" / "operations.md").read_text(encoding="utf-8")

@@ -313,12 +313,6 @@ def test_a_key_is_required_on_the_fast_path_too(served: Served, tmp_path: Path) 
         assert client.post("/v1/predict", content=BODY, headers=PLAIN).status_code == 401
 
 
-@pytest.mark.parametrize("path", ["/v1/predict%0A", "/v2/models/push-none/infer%0A"])
-def test_a_path_with_a_newline_at_its_end_is_answered(client: TestClient, path: str) -> None:
-    """The framework matches such a path to a route, which answers with the endpoint of its template."""
-    assert client.post(path, content=b"{", headers=PLAIN).status_code == 400
-
-
 class CountingKeys(Keys):
     """Keys that count their checks."""
 

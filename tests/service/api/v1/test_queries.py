@@ -1,28 +1,19 @@
-"""Batches, frames and forms of context: what every way in promises."""
+"""Queries of ``/v1``: batches, frames and references to models."""
 
 import base64
 import json
 import math
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fastapi.testclient import TestClient
-from httpx2 import Response
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from service.app import create_app
-from service.inference.loaded_models import LoadedModels
-from service.model.predictor import OnnxPredictor
-from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext
-from service.registry.registry import Registry
 from service.schemas.predictions import BatchResponse, PredictResponse
-from service.settings import Settings
-from tests.fakes import fake_models, publish_fake
+from tests.service.api.v1.requests import answer, batch, fault, single
 
 DESCRIPTORS = ("1a2b3c4a", "4a4a4a4a", "2B1c3a4b", "3c3a3a3b")
 INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
@@ -33,57 +24,14 @@ batches = st.lists(st.tuples(pushers, st.integers(0, len(DESCRIPTORS) - 1)), min
 no_reset = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
 
 
-@pytest.fixture(scope="module")
-def shipped(project_root: Path) -> Iterator[TestClient]:
-    """The app over the models that ship."""
-    models = LoadedModels(Registry(project_root / "models"), OnnxPredictor)
-    with TestClient(create_app(Settings(poll_interval_s=3600), models), raise_server_exceptions=False) as found:
-        yield found
-
-
-@pytest.fixture(scope="module")
-def faked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    """The app over fakes, a visual one among them."""
-    registry, models = fake_models(tmp_path_factory.mktemp("models"))
-    publish_fake(registry, "push-visual", ContextKind.VISUAL)
-    models.refresh()
-    with TestClient(create_app(Settings(poll_interval_s=3600), models), raise_server_exceptions=False) as found:
-        yield found
-
-
-def ask(client: TestClient, path: str, body: Any) -> Any:
-    """The answer to a request that is in order."""
-    response = client.post(path, json=body)
-    assert response.status_code == 200, response.text
-    return response.json()
-
-
-def batch(client: TestClient, **body: Any) -> Any:
-    """The answer to a batch."""
-    return ask(client, "/v1/predict/batch", body)
-
-
-def fault(response: Response) -> tuple[str, str]:
-    """Where the one fault is and what came."""
-    assert response.status_code == 422, response.text
-    (found,) = response.json()["errors"]
-    return found["where"], found["received"]
-
-
-def single(client: TestClient, pusher: list[float], descriptor: str) -> Any:
-    """The answer to one push."""
-    body = {"pusher": dict(zip(("x", "y", "angle"), pusher, strict=True)), "context": {"descriptor": descriptor}}
-    return ask(client, "/v1/predict", body)
-
-
 @no_reset
 @given(batches)
-def test_a_row_does_not_depend_on_the_rows_beside_it(shipped: TestClient, rows: list[tuple[list[float], int]]) -> None:
-    """With the real runtime and model: each row of a mixed batch is what the push gets alone.
+def test_a_row_does_not_depend_on_other_rows(shipped: TestClient, rows: list[tuple[list[float], int]]) -> None:
+    """With the shipped model, each row of a mixed batch has the prediction that its push has alone.
 
-    Within 2e-6: the runtime's matrix products round by the size of the batch.
+    They differ by at most 2e-6, since matrix products of the runtime round differently by the size of the batch.
     """
-    answer = batch(
+    found = batch(
         shipped,
         pushers=[pusher for pusher, _ in rows],
         contexts=[{"descriptor": descriptor} for descriptor in DESCRIPTORS],
@@ -91,10 +39,10 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(shipped: TestClient, rows: 
     )
     for number, (pusher, place) in enumerate(rows):
         alone = single(shipped, pusher, DESCRIPTORS[place])
-        difference = np.array(answer["mean"][number]) - list(alone["mean"].values())
+        difference = np.array(found["mean"][number]) - list(alone["mean"].values())
         difference[2] = math.remainder(difference[2], 2 * math.pi)
         assert np.abs(difference).max() < 2e-6
-        assert answer["std"][number] == pytest.approx(list(alone["std"].values()), rel=1e-5)
+        assert found["std"][number] == pytest.approx(list(alone["std"].values()), rel=1e-5)
 
 
 @no_reset
@@ -102,7 +50,7 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(shipped: TestClient, rows: 
 def test_an_angle_is_circular_in_every_row(
     shipped: TestClient, rows: list[tuple[list[float], int]], turns: int
 ) -> None:
-    """Whole turns change nothing but rounding, and answers lie in (-pi, pi]."""
+    """Whole turns of the pusher change a row by rounding only, and answered angles lie in (-pi, pi]."""
     here = [pusher for pusher, _ in rows]
     there = [[x, y, angle + turns * 2 * math.pi] for x, y, angle in here]
     contexts = [{"descriptor": DESCRIPTORS[place]} for _, place in rows]
@@ -115,10 +63,10 @@ def test_an_angle_is_circular_in_every_row(
 
 @no_reset
 @given(pushers, st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-7, 7)))
-def test_the_world_frame_is_the_object_frame_seen_from_the_world(
+def test_a_push_in_the_world_is_the_push_in_the_object_frame(
     shipped: TestClient, pusher: list[float], pose: tuple[float, float, float]
 ) -> None:
-    """The object anywhere in the world, pushed alike, ends alike; the covariance is turned with it."""
+    """The prediction in the world is that of the object frame, moved and turned, with its covariance."""
     x, y, theta = pose
     cos, sin = math.cos(theta), math.sin(theta)
     world = [x + cos * pusher[0] - sin * pusher[1], y + sin * pusher[0] + cos * pusher[1], pusher[2] + theta]
@@ -128,7 +76,7 @@ def test_the_world_frame_is_the_object_frame_seen_from_the_world(
         "context": {"descriptor": "1a2b3c4a"},
         "object_pose": {"x": x, "y": y, "angle": theta},
     }
-    outside = ask(shipped, "/v1/predict", body)
+    outside = answer(shipped, "/v1/predict", body)
     assert (inside["frame"], outside["frame"]) == ("object", "world")
     assert "covariance" not in inside
     mean, std = inside["mean"], inside["std"]
@@ -141,12 +89,12 @@ def test_the_world_frame_is_the_object_frame_seen_from_the_world(
     assert np.square(list(outside["std"].values())) == pytest.approx(np.diag(outside["covariance"]))
 
 
-def test_a_batch_in_the_world_answers_each_row_as_alone(shipped: TestClient) -> None:
-    """One pose of the object for all, or one per push."""
+def test_a_batch_in_the_world_is_its_pushes_alone(shipped: TestClient) -> None:
+    """A batch in the world has one object pose for all pushes, or one per push."""
     context, world = {"descriptor": "2B1c3a4b"}, [[0.4, 0.1, 1.5], [-3.0, 2.0, -0.4]]
     rows = [[0.4, 0.03, 1.4], [-3.05, 2.0, -0.2]]
-    answer = batch(shipped, pushers=rows, contexts=[context], object_poses=world)
-    assert answer["frame"] == "world"
+    found = batch(shipped, pushers=rows, contexts=[context], object_poses=world)
+    assert found["frame"] == "world"
     for number, (row, pose) in enumerate(zip(rows, world, strict=True)):
         names = ("x", "y", "angle")
         body = {
@@ -154,56 +102,30 @@ def test_a_batch_in_the_world_answers_each_row_as_alone(shipped: TestClient) -> 
             "context": context,
             "object_pose": dict(zip(names, pose, strict=True)),
         }
-        alone = ask(shipped, "/v1/predict", body)
-        assert answer["mean"][number] == pytest.approx(list(alone["mean"].values()), abs=2e-6)
-        assert np.array(answer["covariance"][number]) == pytest.approx(np.array(alone["covariance"]), rel=1e-4)
+        alone = answer(shipped, "/v1/predict", body)
+        assert found["mean"][number] == pytest.approx(list(alone["mean"].values()), abs=2e-6)
+        assert np.array(found["covariance"][number]) == pytest.approx(np.array(alone["covariance"]), rel=1e-4)
     same = batch(shipped, pushers=rows[:1] * 3, contexts=[context], object_poses=world[:1])
-    assert same["mean"] == [pytest.approx(answer["mean"][0], abs=2e-6)] * 3
+    assert same["mean"] == [pytest.approx(found["mean"][0], abs=2e-6)] * 3
 
 
 def test_ten_thousand_pushes_are_answered_and_one_more_is_refused(shipped: TestClient) -> None:
-    """The stated bound, at the bound and one over it."""
+    """A batch may have 10,000 pushes, and not one more."""
     rows = [[-0.075, 0.0, 0.0]] * 10_000
-    answer = batch(shipped, pushers=rows, contexts=[{"descriptor": "1a2b3c4a"}])
-    assert len(answer["mean"]) == len(answer["std"]) == 10_000
-    assert answer["model"]["name"] == "push-indicator"
+    found = batch(shipped, pushers=rows, contexts=[{"descriptor": "1a2b3c4a"}])
+    assert len(found["mean"]) == len(found["std"]) == 10_000
+    assert found["model"]["name"] == "push-indicator"
     body = {"pushers": [*rows, rows[0]], "contexts": [{"descriptor": "1a2b3c4a"}]}
     assert fault(shipped.post("/v1/predict/batch", json=body))[0] == "body.pushers"
 
 
-def test_contexts_are_one_for_all_one_per_push_or_by_index(faked: TestClient) -> None:
-    """The three ways to say which object a push meets give the same numbers."""
-    rows = [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]
-    context = {"descriptor": "1a2b3c4a"}
-    answers = [
-        batch(faked, pushers=rows, contexts=[context]),
-        batch(faked, pushers=rows, contexts=[context, {"indicator": INDICATOR}]),
-        batch(faked, pushers=rows, contexts=[{"descriptor": "4a4a4a4a"}, context, context], context_index=[2, 1]),
-    ]
-    assert answers[0] == answers[1] == answers[2]
-    assert [row[0] for row in answers[0]["mean"]] == pytest.approx([-0.01, -0.02])
-
-
-def test_without_contexts_the_model_that_needs_none_answers_a_batch(faked: TestClient) -> None:
-    """As for one push."""
+def test_a_batch_without_contexts_has_the_model_without_context(faked: TestClient) -> None:
+    """Without contexts, the default model of a batch is that for pushes without context."""
     assert batch(faked, pushers=[[0.1, 0.0, 0.0]])["model"]["name"] == "push-none"
 
 
-def test_a_visual_context_is_base64_or_rows_of_numbers(faked: TestClient) -> None:
-    """Both are the same 1,024 levels, for one push and in a batch."""
-    text = base64.b64encode(LEVELS).decode()
-    numbers = [[level / 255 for level in LEVELS[row * 32 : row * 32 + 32]] for row in range(32)]
-    pusher = {"x": 0.1, "y": 0.0, "angle": 0.0}
-    by_text = ask(faked, "/v1/predict", {"pusher": pusher, "context": {"visual": text}})
-    by_numbers = ask(faked, "/v1/predict", {"pusher": pusher, "context": {"visual": numbers}})
-    assert by_text == by_numbers
-    assert by_text["model"]["name"] == "push-visual"
-    many = batch(faked, pushers=[[0.1, 0.0, 0.0]] * 2, contexts=[{"visual": text}, {"visual": numbers}])
-    assert many["mean"] == [pytest.approx(list(by_text["mean"].values()))] * 2
-
-
-def test_models_are_asked_side_by_side(faked: TestClient) -> None:
-    """Each request names its own."""
+def test_a_batch_may_name_its_model(faked: TestClient) -> None:
+    """Each batch names its own model, by name, version or alias."""
     for reference, name in (("push-none", "push-none"), ("push-none@1", "push-none")):
         assert batch(faked, pushers=[[0.1, 0.0, 0.0]], model=reference)["model"]["name"] == name
     contexts = [{"descriptor": "1a2b3c4a"}]
@@ -226,7 +148,7 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
         "body.contexts.1.descriptor side 4",
         "weight B on shape 4",
     ),
-    "two forms behind a known one": (
+    "two forms after a known one": (
         {"contexts": [{"descriptor": "4a4a4a4a"}, {"descriptor": "4a4a4a4a", "indicator": INDICATOR}]},
         "body.contexts.1",
         "descriptor and indicator",
@@ -241,14 +163,14 @@ FAULTS: dict[str, tuple[dict[str, Any], str, str]] = {
     "an index before": ({"context_index": [-1, 0]}, "body.context_index.0", "an index"),
     "an index without contexts": ({"contexts": None, "context_index": [0, 0]}, "body.contexts", "no contexts"),
     "three poses": ({"object_poses": [[0, 0, 0]] * 3}, "body.object_poses", "3 poses"),
-    "a pose at the moon": ({"object_poses": [[4e8, 0, 0]]}, "body.object_poses.0", "4e+08 m"),
+    "a pose out of the world": ({"object_poses": [[4e8, 0, 0]]}, "body.object_poses.0", "4e+08 m"),
     "out of reach in the world": ({"object_poses": [[5.0, 0, 0]]}, "body.pushers.0", "-5 m"),
 }
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_in_a_batch_names_its_row(faked: TestClient, name: str) -> None:
-    """Where it is, what came, what is accepted; one fault, however many rows have it."""
+    """A batch with a fault gets one fault that names the field and the row, even if other rows have faults."""
     body, where, received = FAULTS[name]
     in_order = {"pushers": [[0.0, 0.0, 0.0]] * 2, "contexts": [{"descriptor": "4a4a4a4a"}]}
     found = fault(faked.post("/v1/predict/batch", json=in_order | body))
@@ -256,28 +178,8 @@ def test_a_fault_in_a_batch_names_its_row(faked: TestClient, name: str) -> None:
     assert received in found[1]
 
 
-VISUAL_FAULTS = {
-    "not base64": ("%%%", "not base64"),
-    "no padding": (base64.b64encode(LEVELS).decode().rstrip("="), "not base64"),
-    "too few": (base64.b64encode(LEVELS[:-1]).decode(), "1023 bytes"),
-    "31 rows": ([[0.0] * 32] * 31, "31 rows"),
-    "a long row": ([[0.0] * 32] * 31 + [[0.0] * 33], "32 rows"),
-    "brighter than white": ([[1.5] * 32] * 32, "outside"),
-}
-
-
-@pytest.mark.parametrize("name", VISUAL_FAULTS)
-def test_a_visual_context_that_is_none_says_why(faked: TestClient, name: str) -> None:
-    """Bytes that are not base64, too few, or numbers outside [0, 1]."""
-    visual, received = VISUAL_FAULTS[name]
-    body = {"pusher": {"x": 0.1, "y": 0.0, "angle": 0.0}, "context": {"visual": visual}}
-    where, found = fault(faked.post("/v1/predict", json=body))
-    assert where == "body.context.visual"
-    assert received in found
-
-
-def test_a_million_faults_cost_no_more_than_one(faked: TestClient) -> None:
-    """The columns stop at the first, and so does the answer."""
+def test_a_million_faults_cost_as_little_as_one(faked: TestClient) -> None:
+    """A column stops at its first fault, and the answer has that fault only."""
     for column in (b'"pushers":', b'"pushers":[[0,0,0]],"contexts":', b'"pushers":[[0,0,0]],"context_index":'):
         content = b"{" + column + b"[" + b",".join([b"[null]"] * 1_000_000) + b"]}"
         response = faked.post("/v1/predict/batch", content=content, headers={"Content-Type": "application/json"})
@@ -285,8 +187,8 @@ def test_a_million_faults_cost_no_more_than_one(faked: TestClient) -> None:
         assert len(response.content) < 2000
 
 
-def test_an_answer_is_what_the_documented_schema_says(shipped: TestClient) -> None:
-    """The bytes are made by hand; the schema is the promise."""
+def test_an_answer_has_the_documented_schema(shipped: TestClient) -> None:
+    """The bytes of answers, which no schema writes, are valid by the documented schema."""
     rows = {"pushers": [[-0.075, 0.0, 0.0]], "contexts": [{"descriptor": "1a2b3c4a"}]}
     for extra in ({}, {"object_poses": [[0.0, 0.0, 0.0]]}):
         BatchResponse.model_validate_json(json.dumps(batch(shipped, **rows, **extra)))

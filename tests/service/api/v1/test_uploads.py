@@ -1,4 +1,4 @@
-"""Images over HTTP: as a form, by themselves and as base64; what is seen of them; and what is refused."""
+"""Images over HTTP: in a form, alone and as base64."""
 
 import base64
 import io
@@ -24,14 +24,14 @@ PUSHER = {"x": 0.1, "y": 0.0, "angle": 0.0}
 
 
 def picture(side: int = 64, at: int = 32) -> np.ndarray[Any, Any]:
-    """A bright square on black."""
+    """Draw a bright square on black."""
     grey = np.zeros((side, side), dtype=np.uint8)
     grey[at - 12 : at + 12, at - 12 : at + 12] = 128
     return grey
 
 
 def encoded(array: np.ndarray[Any, Any], kind: str = "PNG") -> bytes:
-    """An image file."""
+    """Encode an image file."""
     buffer = io.BytesIO()
     Image.fromarray(array).save(buffer, kind)
     return buffer.getvalue()
@@ -43,7 +43,7 @@ LEVELS = visual_context(GreyImage.from_array(picture())).levels
 
 @pytest.fixture(scope="module")
 def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    """The app over fakes, a visual one among them."""
+    """Return a client of the application over fake models, with a visual one."""
     registry, models = fake_models(tmp_path_factory.mktemp("models"))
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     models.refresh()
@@ -59,13 +59,13 @@ def upload(client: TestClient, path: str = "/v1/predict/image", image: bytes = P
 
 
 def code(response: Response) -> tuple[int, str]:
-    """Status and code of a problem."""
+    """Return status and code of a problem."""
     assert response.headers["content-type"] == "application/problem+json", response.text
     return response.status_code, response.json()["code"]
 
 
-def test_one_image_by_every_way_in_gets_one_answer(client: TestClient) -> None:
-    """As a form, as base64, and as the visual context that was made of it."""
+def test_all_forms_of_an_image_get_the_same_answer(client: TestClient) -> None:
+    """An image in a form, an image as base64, and its visual context give the same prediction."""
     made = client.post("/v1/contexts", content=PNG, headers={"Content-Type": "image/png"}).json()
     assert base64.b64decode(made["visual"]) == LEVELS
     image = base64.b64encode(PNG).decode()
@@ -78,8 +78,8 @@ def test_one_image_by_every_way_in_gets_one_answer(client: TestClient) -> None:
     assert answers[0]["model"] == {"name": "push-visual", "version": 1}
 
 
-def test_one_image_with_many_pushes_gets_columns(client: TestClient) -> None:
-    """Of that object, in the object frame or in the world."""
+def test_several_pushes_of_one_image_get_columns(client: TestClient) -> None:
+    """Several pushes of the object in an image are answered in columns, in the object frame or in the world."""
     rows = [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]
     image = base64.b64encode(PNG).decode()
     many = upload(client, pushers=rows).json()
@@ -90,8 +90,8 @@ def test_one_image_with_many_pushes_gets_columns(client: TestClient) -> None:
 
 
 @pytest.mark.parametrize("kind", ["PNG", "JPEG", "WEBP"])
-def test_an_image_becomes_a_context_and_a_picture_of_it(client: TestClient, kind: str) -> None:
-    """By itself or in a form; the thumbnail shows the levels that the context has."""
+def test_an_image_becomes_a_visual_context_with_a_thumbnail(client: TestClient, kind: str) -> None:
+    """An image alone and in a form give the same context, and its thumbnail shows the same levels."""
     content = encoded(picture(), kind)
     by_itself = client.post("/v1/contexts", content=content, headers={"Content-Type": f"image/{kind.lower()}"})
     assert by_itself.status_code == 200, by_itself.text
@@ -102,14 +102,14 @@ def test_an_image_becomes_a_context_and_a_picture_of_it(client: TestClient, kind
     assert by_itself.json()["flags"] == []
 
 
-def test_what_looks_wrong_is_said(client: TestClient) -> None:
-    """Nothing in it, or the object at the border."""
+def test_faults_of_an_image_are_flagged(client: TestClient) -> None:
+    """A blank image and an object at the border have their flags."""
     assert upload(client, "/v1/contexts", encoded(np.zeros((40, 40), np.uint8))).json()["flags"] == ["blank"]
     assert "clipped" in upload(client, "/v1/contexts", encoded(picture(at=12))).json()["flags"]
 
 
-def test_faults_of_an_upload_are_problems_with_a_place(client: TestClient) -> None:
-    """The image, the fields, and that one of them is missing."""
+def test_faults_of_an_upload_name_their_field(client: TestClient) -> None:
+    """A missing or faulty field of a form is a problem that names it."""
     assert code(upload(client)) == (422, "invalid_request")
     assert upload(client).json()["errors"][0]["where"] == "body.pusher"
     assert upload(client, pusher={**PUSHER, "x": "0"}).json()["errors"][0]["where"] == "body.pusher.x"
@@ -123,8 +123,8 @@ def test_faults_of_an_upload_are_problems_with_a_place(client: TestClient) -> No
     assert code(client.post("/v1/predict/image", data={"image": "text"}, files={"x": b""}))[0] == 422
 
 
-def test_images_that_are_none_are_refused_by_every_way_in(client: TestClient) -> None:
-    """Another format, cut short, too large; a form, by itself and base64."""
+def test_broken_images_are_refused_in_every_form(client: TestClient) -> None:
+    """An image of another format, cut short or too large is refused in a form, alone and as base64."""
     for image, expected in (
         (b"GIF89a" + bytes(20), (415, "unsupported_image")),
         (b"", (415, "unsupported_image")),
@@ -144,8 +144,8 @@ def test_images_that_are_none_are_refused_by_every_way_in(client: TestClient) ->
             assert name in (expected[1], "invalid_image")
 
 
-def test_a_batch_takes_a_few_images_and_no_more(client: TestClient) -> None:
-    """Each costs a thread some time; the error says where to convert them before."""
+def test_a_batch_has_a_maximum_of_images(client: TestClient) -> None:
+    """A batch with more than 16 images is refused, and the error names the route that converts them."""
     image = {"image": base64.b64encode(PNG).decode()}
     body = {"pushers": [[0.1, 0.0, 0.0]] * 17, "contexts": [image] * 16, "context_index": [15] * 17}
     assert client.post("/v1/predict/batch", json=body).status_code == 200
@@ -158,8 +158,8 @@ FORMS: dict[str, tuple[str, bytes, int]] = {
     "no boundary": ("multipart/form-data", FORM, 400),
     "another boundary": ("multipart/form-data; boundary=c", FORM, 400),
     "an endless boundary": ("multipart/form-data; boundary=" + "b" * 4000, FORM, 400),
-    "nothing": ("multipart/form-data; boundary=b", b"", 422),
-    "half": ("multipart/form-data; boundary=b", FORM[: len(FORM) // 2], 422),
+    "no bytes": ("multipart/form-data; boundary=b", b"", 422),
+    "half a form": ("multipart/form-data; boundary=b", FORM[: len(FORM) // 2], 422),
     "no name": ("multipart/form-data; boundary=b", FORM.replace(b' name="image";', b""), 400),
     "two files": ("multipart/form-data; boundary=b", FORM.replace(b"--b--\r\n", b"") + FORM, 400),
     "a flood of fields": (
@@ -175,8 +175,8 @@ FORMS: dict[str, tuple[str, bytes, int]] = {
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_a_form_that_is_none_is_refused(client: TestClient, name: str) -> None:
-    """Cut short, flooded, or something else."""
+def test_a_broken_form_is_refused(client: TestClient, name: str) -> None:
+    """A form that is cut short, too long or of another type is refused."""
     content_type, content, status = FORMS[name]
     response = client.post("/v1/contexts", content=content, headers={"Content-Type": content_type})
     assert code(response)[0] == status, response.text
@@ -185,7 +185,7 @@ def test_a_form_that_is_none_is_refused(client: TestClient, name: str) -> None:
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=300)
 @given(st.integers(0, len(FORM)), st.integers(0, len(FORM)), st.binary(max_size=30))
 def test_no_broken_form_gets_a_5xx(client: TestClient, start: int, end: int, noise: bytes) -> None:
-    """A good form with a piece replaced."""
+    """A form with a piece replaced by noise gets an answer or a problem of the request."""
     content = FORM[:start] + noise + FORM[end:]
     response = client.post("/v1/contexts", content=content, headers={"Content-Type": "multipart/form-data; boundary=b"})
     assert response.status_code in (200, 400, 413, 415, 422), response.text

@@ -1,0 +1,104 @@
+"""Contexts of requests are encoded as tensors: descriptors, indicators, visual contexts and images."""
+
+import base64
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from service.api.v1.object_contexts import encode_context, encode_contexts
+from service.errors import InvalidRequestError
+from service.model.tensors import ContextKind
+from service.observability.timings import Timings, collect_timings
+from service.pushing.contexts import ObjectContext
+from service.schemas.contexts import IMAGE_EXAMPLE, ContextBody
+from tests.service.api.v1.requests import answer, batch, fault
+
+INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
+LEVELS = bytes(range(256)) * 4
+
+
+def test_contexts_are_one_for_all_one_per_push_or_by_index(faked: TestClient) -> None:
+    """One context for all pushes, one per push, and contexts by index give the same numbers."""
+    rows = [[0.1, 0.0, 0.0], [0.2, 0.0, 0.0]]
+    context = {"descriptor": "1a2b3c4a"}
+    answers = [
+        batch(faked, pushers=rows, contexts=[context]),
+        batch(faked, pushers=rows, contexts=[context, {"indicator": INDICATOR}]),
+        batch(faked, pushers=rows, contexts=[{"descriptor": "4a4a4a4a"}, context, context], context_index=[2, 1]),
+    ]
+    assert answers[0] == answers[1] == answers[2]
+    assert [row[0] for row in answers[0]["mean"]] == pytest.approx([-0.01, -0.02])
+
+
+def test_a_visual_context_is_base64_or_rows_of_numbers(faked: TestClient) -> None:
+    """Base64 and rows of numbers are the same 1,024 levels, for one push and in a batch."""
+    text = base64.b64encode(LEVELS).decode()
+    numbers = [[level / 255 for level in LEVELS[row * 32 : row * 32 + 32]] for row in range(32)]
+    pusher = {"x": 0.1, "y": 0.0, "angle": 0.0}
+    by_text = answer(faked, "/v1/predict", {"pusher": pusher, "context": {"visual": text}})
+    by_numbers = answer(faked, "/v1/predict", {"pusher": pusher, "context": {"visual": numbers}})
+    assert by_text == by_numbers
+    assert by_text["model"]["name"] == "push-visual"
+    many = batch(faked, pushers=[[0.1, 0.0, 0.0]] * 2, contexts=[{"visual": text}, {"visual": numbers}])
+    assert many["mean"] == [pytest.approx(list(by_text["mean"].values()))] * 2
+
+
+VISUAL_FAULTS = {
+    "not base64": ("%%%", "not base64"),
+    "no padding": (base64.b64encode(LEVELS).decode().rstrip("="), "not base64"),
+    "too few": (base64.b64encode(LEVELS[:-1]).decode(), "1023 bytes"),
+    "31 rows": ([[0.0] * 32] * 31, "31 rows"),
+    "a long row": ([[0.0] * 32] * 31 + [[0.0] * 33], "32 rows"),
+    "brighter than white": ([[1.5] * 32] * 32, "outside"),
+}
+
+
+@pytest.mark.parametrize("name", VISUAL_FAULTS)
+def test_a_visual_context_that_is_not_valid_is_refused(faked: TestClient, name: str) -> None:
+    """The fault of a visual context names the field and describes the received value."""
+    visual, received = VISUAL_FAULTS[name]
+    body = {"pusher": {"x": 0.1, "y": 0.0, "angle": 0.0}, "context": {"visual": visual}}
+    where, found = fault(faked.post("/v1/predict", json=body))
+    assert where == "body.context.visual"
+    assert received in found
+
+
+def test_a_repeated_descriptor_is_encoded_once() -> None:
+    """The batch has the tensor of each distinct descriptor, and the index names it for each push."""
+    contexts = [ContextBody(descriptor=descriptor) for descriptor in ("1a2b3c4a", "4a4a4a4a", "1a2b3c4a")]
+    found = encode_contexts(contexts, np.array([2, 1, 0, 2]))
+    assert found.kind is ContextKind.INDICATOR
+    assert found.tensor is not None
+    assert found.index is not None
+    assert (found.tensor.shape, found.index.tolist()) == ((2, 36), [0, 1, 0, 0])
+
+
+def test_the_tensor_of_a_descriptor_is_cached_and_read_only() -> None:
+    """Pushes with one descriptor share a tensor, so that a micro-batch has it once."""
+    first, second = (encode_context(ContextBody(descriptor="1a2b3c4a")).tensor for _ in range(2))
+    assert first is second
+    assert first is not None
+    assert not first.flags.writeable
+
+
+def test_no_context_has_no_tensor() -> None:
+    """A push or a batch without contexts has kind none, and the field for errors."""
+    assert (encode_context(None).kind, encode_context(None).where) == (ContextKind.NONE, "body.context")
+    found = encode_contexts(None, None)
+    assert (found.kind, found.tensor, found.index, found.where) == (ContextKind.NONE, None, None, "body.contexts")
+
+
+def test_a_faulty_descriptor_names_its_field() -> None:
+    """A descriptor that cannot be encoded is refused with the field of this request."""
+    with pytest.raises(InvalidRequestError, match=r"^body\.context\.descriptor"):
+        encode_context(ContextBody(descriptor="1a2b3c9a"))
+
+
+def test_only_images_are_timed() -> None:
+    """The decode phase has the images of a request, and no other context."""
+    timings: Timings = []
+    collect_timings(timings)
+    encode_context(ContextBody(descriptor="1a2b3c4a"))
+    encode_context(ContextBody(image=IMAGE_EXAMPLE))
+    assert [phase for phase, _ in timings] == ["decode"]
