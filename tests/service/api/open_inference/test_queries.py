@@ -1,0 +1,94 @@
+"""Queries of tensors follow the rules of ``/v1``, and give the requested outputs."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+from fastapi.testclient import TestClient
+
+from service.api.open_inference.queries import parse_reference
+from service.errors import InvalidRequestError
+from service.model.reference import ModelReference
+from tests.service.api.open_inference.tensors import (
+    INDICATOR,
+    LENGTH,
+    PUSHES,
+    URL,
+    changed,
+    document,
+    error,
+    numbers,
+    tensor,
+)
+
+
+def test_the_flag_of_an_output_overrides_that_of_the_request(client: TestClient) -> None:
+    """Outputs come in the requested order, only those requested, and each may have its own form."""
+    wanted = [{"name": "std"}, {"name": "mean", "parameters": {"binary_data": False}}]
+    response = client.post(URL, json=document(parameters={"binary_data_output": True}, outputs=wanted))
+    head = json.loads(response.content[: int(response.headers[LENGTH])])
+    assert [output["name"] for output in head["outputs"]] == ["std", "mean"]
+    assert ["data" in output for output in head["outputs"]] == [False, True]
+    assert response.headers["content-type"] == "application/octet-stream"
+    assert list(numbers(client.post(URL, json=document(outputs=[{"name": "mean"}])))) == ["mean"]
+
+
+def test_a_visual_model_takes_levels_rounded_to_eight_bits(client: TestClient) -> None:
+    """Levels of a visual context are rounded to those of /v1, and levels outside [0, 1] are refused."""
+    grey = np.full((1, 1, 32, 32), 0.5, dtype=np.float32)
+    inputs = [tensor("pusher", PUSHES), tensor("context", grey)]
+    found = numbers(client.post("/v2/models/push-visual/infer", json={"inputs": inputs}))
+    body = {"pushers": PUSHES.tolist(), "contexts": [{"visual": [[0.5] * 32] * 32}]}
+    expected = client.post("/v1/predict/batch", json=body).json()["mean"]
+    assert (found["mean"] == np.array(expected, dtype=np.float32)).all()
+    too_bright = [tensor("pusher", PUSHES), tensor("context", grey * 3)]
+    assert "[0, 1]" in error(client.post("/v2/models/push-visual/infer", json={"inputs": too_bright}))
+
+
+TWO_SHAPES = INDICATOR.copy()
+TWO_SHAPES[1] = 1.0
+INDEX = tensor("context_index", np.array([0, 1], dtype=np.int64))
+BAD: dict[str, tuple[Any, str]] = {
+    "no pusher": (document(inputs=[tensor("context", INDICATOR[None])]), "no tensor pusher"),
+    "no context": (document(inputs=[tensor("pusher", PUSHES)]), "no tensor context"),
+    "out of reach": (changed(0, data=[0, 0, 0, 0, 1.5, 0]), "pusher[1]"),
+    "two shapes": (changed(1, data=TWO_SHAPES[None].tolist()), "inputs context[0] side 1"),
+    "no such place": ({"inputs": [*document()["inputs"], INDEX]}, "context_index"),
+    "a short index": (
+        {"inputs": [*document()["inputs"], INDEX | {"shape": [1], "data": [0]}]},
+        "2 values: one per push",
+    ),
+    "three contexts": (changed(1, shape=[3, 36], data=[INDICATOR.tolist()] * 3), "3 contexts"),
+    "unknown output": (document(outputs=[{"name": "covariance"}]), "outputs"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_request_against_the_rules_is_a_400_that_names_its_field(client: TestClient, name: str) -> None:
+    """A push, a context or an output that /v1 would refuse is refused with its field."""
+    body, words = BAD[name]
+    text = error(client.post(URL, content=json.dumps(body)))
+    assert words in text
+    assert client.get("/v2/health/live").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("model", "version", "reference"),
+    [
+        ("push-none", None, ModelReference("push-none", "champion", None)),
+        ("push-none@canary", None, ModelReference("push-none", "canary", None)),
+        ("push-none", "7", ModelReference("push-none", None, 7)),
+        ("push-none@canary", "7", ModelReference("push-none", None, 7)),
+    ],
+)
+def test_a_path_names_a_model(model: str, version: str | None, reference: ModelReference) -> None:
+    """A version in the path overrides the alias of its model."""
+    assert parse_reference(model, version) == reference
+
+
+@pytest.mark.parametrize(("model", "version"), [("Push", None), ("a b", None), ("push-none", "0"), ("push-none", "x")])
+def test_a_path_that_names_no_model_is_refused(model: str, version: str | None) -> None:
+    """A name or a version that is not valid is an error of the request."""
+    with pytest.raises(InvalidRequestError):
+        parse_reference(model, version)
