@@ -13,14 +13,14 @@ from tests.fakes import draft_manifest
 
 
 def rendered(**changes: tuple[Tensor, ...]) -> bytes:
-    """Render a manifest of whole form, with these changes."""
+    """Render a complete manifest with these changes."""
     files = {file: FileDigest.of(b"") for file in (MODEL_FILE, CARD_FILE)}
     manifest: Manifest = replace(draft_manifest(), files=files, **changes)  # type: ignore[arg-type]
     return manifest.render()
 
 
 def test_a_manifest_with_the_tensors_of_the_domain_is_accepted() -> None:
-    """A push model of this context kind declares exactly these inputs and outputs."""
+    """A push model of this context kind declares exactly the tensors of the domain."""
     assert parse_manifest(rendered(), PUSHING).name == "push-indicator"
 
 
@@ -35,6 +35,6 @@ def test_a_manifest_with_the_tensors_of_the_domain_is_accepted() -> None:
     ids=["another shape", "no context", "no outputs", "outputs in another order"],
 )
 def test_a_manifest_with_other_tensors_is_refused_by_field(changes: dict[str, tuple[Tensor, ...]], field: str) -> None:
-    """Its form and its digest are right, and yet it is not a push model."""
+    """A manifest of valid form that is not of a push model is refused with the name of the field."""
     with pytest.raises(BrokenModelError, match=f"{field}: not the tensors"):
         parse_manifest(rendered(**changes), PUSHING)
