@@ -190,7 +190,7 @@ class InferResponseBody(Body):
     outputs: Annotated[list[InferTensorBody], Field(description="in the requested order", examples=[[_OUTPUT_EXAMPLE]])]
 
 
-INFERENCE: Final = {
+INFERENCE: Final[dict[str, dict[str, Any]]] = {
     "one push": {
         "value": {
             "id": "42",

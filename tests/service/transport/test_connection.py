@@ -1,16 +1,45 @@
-"""Connections join head and body in one write. tests/test_attacks.py tests the bounds on heads with raw sockets."""
+"""Connections join writes, bound heads, and answer plain pushes with the bytes of the framework, in any pieces.
+
+tests/test_attacks.py tests the bounds on heads with raw sockets.
+"""
 
 import asyncio
 import gc
+import io
+import json
+import logging
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from starlette.responses import PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from service.transport.connection import PairedWrites
-from tests.fake_connection import FakeConnection, FakeTransport
+from service.api.v1.endpoints import SINGLE
+from service.app import Service, create_app
+from service.inference.loaded_models import LoadedModels
+from service.inference.query import Answer, ContextBatch, Query
+from service.model.reference import ModelReference
+from service.model.tensors import ContextKind, FloatArray
+from service.observability.logs import RequestLog
+from service.observability.metrics import RequestMetrics
+from service.observability.telemetry import RequestTelemetry
+from service.settings import Settings
+from service.transport.admission import Admission, AdmissionLimits
+from service.transport.connection import CLOSE, PairedWrites
+from service.transport.endpoints import LIGHT_BYTES, Endpoint, Endpoints, Weight
+from service.transport.fast_path import Shortcut
+from service.transport.keys import Keys
+from service.transport.threads import ThreadPool
+from tests.fake_connection import FakeConnection, FakeTransport, post, whole_answers
+from tests.fakes import all_fake_models
+from tests.request_strategies import ODD, PUSHER, pushes
 
 
 def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
@@ -135,3 +164,346 @@ def test_a_body_arrives_complete_in_any_pieces(sizes: tuple[int, ...], at_once: 
         return await connection.answers(1)
 
     assert asyncio.run(run()).partition(b"\r\n\r\n")[2] == whole
+
+
+FRAMEWORK = PlainTextResponse("the framework", 418)
+SAME = "x-request-id: the-same"
+PLAIN = ("content-type: application/json", SAME)
+UNUSUAL_TYPE = ("content-type: application/json; charset=utf-8", SAME)  # means the same, and is unusual
+BODY = json.dumps({"pusher": PUSHER}).encode()
+FAILING_BODY = json.dumps({"pusher": PUSHER, "model": "push-failing"}).encode()
+alike = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=200)
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> LoadedModels:
+    """Return fake models of every kind, and one that fails."""
+    return all_fake_models(tmp_path_factory.mktemp("models"))[1]
+
+
+@pytest.fixture(scope="module")
+def loop() -> Iterator[asyncio.Runner]:
+    """Return one event loop for the application and its connections."""
+    with asyncio.Runner() as runner:
+        yield runner
+
+
+@pytest.fixture(scope="module")
+def app(models: LoadedModels) -> Service:
+    """Return the whole application."""
+    return create_app(Settings(poll_interval_s=3600), models, log=RequestLog(io.StringIO()))
+
+
+def connect_to(app: Service) -> FakeConnection:
+    """Open a connection as the service does."""
+    return FakeConnection(app, app.shortcut)
+
+
+class Buggy(Admission):
+    """An admission with a bug."""
+
+    def check(self, scope: Any) -> None:
+        """Raise an exception that is not of our tree."""
+        raise ZeroDivisionError("the fake has a bug")
+
+
+def shortcut_only(
+    models: LoadedModels,
+    in_flight: int = 8,
+    keys: Path | None = None,
+    admission: type[Admission] = Admission,
+    endpoint: Endpoint[Any] = SINGLE,
+) -> Shortcut:
+    """Create a shortcut in front of a framework that answers every request with 418."""
+    endpoints = Endpoints([endpoint], models, ThreadPool(1, 8, 10.0), Keys(keys))
+    admitted = admission(FRAMEWORK, AdmissionLimits(1 << 20, 10.0, in_flight, 0, 1 << 24))
+    log = RequestLog(io.StringIO())
+    telemetry = RequestTelemetry(admitted, FRAMEWORK, log, RequestMetrics(lambda *_: True))
+    return Shortcut(endpoint, endpoints, admitted, telemetry)
+
+
+def exchange(loop: asyncio.Runner, connect: Callable[[], FakeConnection], *pieces: bytes, answers: int = 1) -> bytes:
+    """Send pieces on a new connection, one after the other. Return the answers."""
+
+    async def run() -> bytes:
+        """Send and receive in the event loop."""
+        connection = connect()
+        for piece in pieces:
+            connection.receive(piece)
+        return await connection.answers(answers)
+
+    return loop.run(run())
+
+
+def status(answer: bytes) -> int:
+    """Return the status of the first answer."""
+    return int(answer.split(b" ", 2)[1])
+
+
+@alike
+@given(pushes)
+def test_a_push_gets_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service, body: Any) -> None:
+    """Shortcut and framework send the same head and body, for predictions and for refusals."""
+    content = json.dumps(body).encode()
+    short, long = (
+        exchange(loop, lambda: connect_to(app), post("/v1/predict", content, kind)) for kind in (PLAIN, UNUSUAL_TYPE)
+    )
+    assert whole_answers(short) == [short]
+    assert short == long
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_bodies_get_the_same_bytes_both_ways(loop: asyncio.Runner, app: Service, name: str) -> None:
+    """Shortcut and framework agree on odd bodies too, also if the model fails at the end of the iteration."""
+    short, long = (
+        exchange(loop, lambda: connect_to(app), post("/v1/predict", ODD[name], kind)) for kind in (PLAIN, UNUSUAL_TYPE)
+    )
+    assert short == long
+
+
+@alike
+@given(st.lists(st.sampled_from([BODY, FAILING_BODY, b"{}"]), min_size=1, max_size=4), st.data())
+def test_pipelined_requests_in_any_pieces_are_answered_in_order(
+    loop: asyncio.Runner, app: Service, bodies: list[bytes], data: st.DataObject
+) -> None:
+    """A network may cut requests anywhere, and a client may send the next one before it has its answer."""
+    sent = b"".join(post("/v1/predict", body, PLAIN) for body in bodies)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(sent)), max_size=5)))
+    pieces = [sent[start:end] for start, end in zip([0, *cuts], [*cuts, len(sent)], strict=True)]
+
+    received = exchange(loop, lambda: connect_to(app), *pieces, answers=len(bodies))
+
+    alone = [exchange(loop, lambda: connect_to(app), post("/v1/predict", body, PLAIN)) for body in bodies]
+    assert whole_answers(received) == alone
+
+
+def test_a_plain_push_needs_no_application(loop: asyncio.Runner, models: LoadedModels) -> None:
+    """The connection itself answers plain pushes, one after the other."""
+
+    async def run() -> bytes:
+        """Send two pushes, and await each answer."""
+        connection = FakeConnection(FRAMEWORK, shortcut_only(models))
+        for answers in (1, 2):
+            connection.receive(post("/v1/predict", BODY))
+            await connection.answers(answers)
+        return b"".join(connection.transport.sent)
+
+    assert [status(answer) for answer in whole_answers(loop.run(run()))] == [200, 200]
+
+
+@pytest.mark.parametrize(("body", "first"), [(BODY, 200), (b"{}", 422)], ids=["good", "refused"])
+def test_a_client_that_does_not_await_answers_loses_the_shortcut(
+    loop: asyncio.Runner, models: LoadedModels, body: bytes, first: int
+) -> None:
+    """The shortcut answers the first of several requests in one write: a client must not hold the event loop."""
+    sent = post("/v1/predict", body) * 3
+    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), sent, answers=3)
+    assert [status(answer) for answer in whole_answers(received)] == [first, 418, 418]
+
+
+def test_many_pipelined_refusals_are_not_taken_for_one_long_head(loop: asyncio.Runner, app: Service) -> None:
+    """More than 64 KiB of refused requests in one write get an answer each, and none gets a 431."""
+    sent = post("/v1/predict", b"{}", PLAIN) * 700
+    received = exchange(loop, lambda: connect_to(app), sent, answers=700)
+    assert {status(answer) for answer in whole_answers(received)} == {422}
+    assert len(whole_answers(received)) == 700
+
+
+def test_no_idle_timer_runs_while_a_pipelined_request_is_answered(loop: asyncio.Runner, app: Service) -> None:
+    """The answer to the first request must not start the timer that closes idle connections under the second."""
+
+    async def run() -> bool:
+        """Send a push and a part of the next request in one write."""
+        connection = connect_to(app)
+        connection.receive(post("/v1/predict", BODY, PLAIN) + post("/v1/predict", BODY, PLAIN)[:-5])
+        idle = connection.protocol.timeout_keep_alive_task is not None
+        connection.disconnect()
+        await asyncio.gather(*connection.state.tasks)
+        return idle
+
+    assert not loop.run(run())
+
+
+TYPE = "content-type: application/json"
+CHUNKED = b"POST /v1/predict HTTP/1.1\r\nhost: test\r\n%b\r\ntransfer-encoding: chunked\r\n\r\n%x\r\n%b\r\n0\r\n\r\n"
+UNUSUAL = {
+    "another path": post("/v1/predict/batch", BODY),
+    "a query": post("/v1/predict?x=1", BODY),
+    "another method": b"PUT" + post("/v1/predict", BODY)[4:],
+    "another type": post("/v1/predict", BODY, UNUSUAL_TYPE),
+    "another accept": post("/v1/predict", BODY, (TYPE, "accept: text/html")),
+    "compressed": post("/v1/predict", BODY, (TYPE, "content-encoding: gzip")),
+    "a client that leaves": post("/v1/predict", BODY, (TYPE, "connection: close")),
+    "an older client": post("/v1/predict", BODY).replace(b"HTTP/1.1", b"HTTP/1.0"),
+    "an upgrade": post("/v1/predict", BODY, (TYPE, "connection: upgrade", "upgrade: h2c")),
+    "a client that expects 100": post("/v1/predict", BODY, (TYPE, "expect: 100-continue")),
+    "chunks": CHUNKED % (TYPE.encode(), len(BODY), BODY),
+    "no body": post("/v1/predict", b""),
+    "a large body": post("/v1/predict", BODY + b" " * LIGHT_BYTES),
+    "an image": post("/v1/predict", b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"image": "AAAA"}}'),
+    "an escape, which may spell image": post("/v1/predict", BODY[:-1] + b', "context": {"\\u0069mage": "AAAA"}}'),
+}
+REFUSED = {
+    "no pusher": (post("/v1/predict", b"{}"), 422),
+    "not JSON": (post("/v1/predict", b"{"), 400),
+    "an unknown model": (post("/v1/predict", BODY[:-1] + b', "model": "nobody"}'), 404),
+    "a failing model": (post("/v1/predict", FAILING_BODY[:-1] + b', "context": {"descriptor": "1a2b3c4a"}}'), 500),
+    "another kind of context": (post("/v1/predict", FAILING_BODY), 422),
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_an_unusual_request_goes_to_the_framework(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
+    """The shortcut answers plain requests for one push only."""
+    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), UNUSUAL[name])
+    answer = received.removeprefix(b"HTTP/1.1 100 Continue\r\n\r\n")
+    assert status(answer) == 418
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_plain_push_that_is_refused_needs_no_framework(loop: asyncio.Runner, models: LoadedModels, name: str) -> None:
+    """The shortcut answers a plain single push also if the answer is a problem."""
+    sent, expected = REFUSED[name]
+    assert status(exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), sent)) == expected
+
+
+def test_a_full_service_refuses_single_pushes_too(loop: asyncio.Runner, models: LoadedModels) -> None:
+    """The limit of concurrent requests holds for single pushes, though they never count as in flight."""
+    received = exchange(
+        loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models, in_flight=0)), post("/v1/predict", BODY)
+    )
+    assert status(received) == 503
+
+
+def test_a_request_without_its_key_is_refused(loop: asyncio.Runner, models: LoadedModels, tmp_path: Path) -> None:
+    """The shortcut checks the key, and its refusal names the header."""
+    (tmp_path / "keys").write_text("")
+    shortcut = shortcut_only(models, keys=tmp_path / "keys")
+    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))
+    assert status(received) == 401
+    assert b"header Authorization" in received
+
+
+def test_a_bug_of_the_shortcut_is_logged_and_answered_with_a_500(
+    loop: asyncio.Runner, models: LoadedModels, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The client gets a problem, and the log gets the exception with the request id."""
+    received = exchange(
+        loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models, admission=Buggy)), post("/v1/predict", BODY)
+    )
+    assert status(received) == 500
+    assert b"ZeroDivisionError" not in received
+    assert "the fake has a bug" in caplog.text
+
+
+@dataclass(frozen=True, slots=True)
+class Unencodable(Query):
+    """A query whose answer cannot be encoded."""
+
+    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+        """Raise an exception that is not of our tree."""
+        raise ZeroDivisionError("the fake has a bug")
+
+
+def test_an_answer_that_cannot_be_encoded_is_a_500(
+    loop: asyncio.Runner, models: LoadedModels, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A bug in the encoding of an answer must not leave the client waiting."""
+    model = models.snapshot.find(ModelReference.parse("push-none"))
+    contexts = ContextBatch(ContextKind.NONE, None, None, "body.context")
+    query = Unencodable(model, np.zeros((1, 3), dtype=np.float32), contexts)
+    shortcut = shortcut_only(models, endpoint=replace(SINGLE, ask=lambda *_: query))
+    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))
+    assert status(received) == 500
+    assert "the fake has a bug" in caplog.text
+
+
+def test_a_push_that_turns_out_to_be_heavy_goes_to_the_framework(loop: asyncio.Runner, models: LoadedModels) -> None:
+    """The shortcut passes on a request that needs a thread, even if its body looked plain."""
+    shortcut = shortcut_only(models, endpoint=replace(SINGLE, weigh=lambda _: Weight.HEAVY))
+    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))
+    assert status(received) == 418
+
+
+def test_a_body_that_is_late_is_passed_to_the_framework(loop: asyncio.Runner, models: LoadedModels) -> None:
+    """Admission refuses late bodies, so the shortcut passes them on."""
+
+    async def run() -> bytes:
+        """Send a part of a request, and no more."""
+        connection = FakeConnection(FRAMEWORK, shortcut_only(models), head_s=0.0)
+        connection.receive(post("/v1/predict", BODY)[:-5])
+        return await connection.answers(1)
+
+    assert status(loop.run(run())) == 418
+
+
+def test_a_client_that_leaves_in_the_middle_is_logged(
+    loop: asyncio.Runner, models: LoadedModels, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The log line of a client that left before its answer has status 0."""
+    caplog.set_level(logging.INFO, "service.requests")
+    stream = io.StringIO()
+    log = RequestLog(stream)
+    app = create_app(Settings(), models, log=log)
+
+    async def run() -> None:
+        """Send a part of a request, and disconnect."""
+        connection = connect_to(app)
+        connection.receive(post("/v1/predict", BODY, PLAIN)[:-5])
+        connection.disconnect()
+        await asyncio.gather(*connection.state.tasks)
+
+    loop.run(run())
+    log.flush()
+    assert [json.loads(line)["status"] for line in stream.getvalue().splitlines()] == [0]
+
+
+def test_a_client_that_leaves_before_its_answer_does_not_affect_others(loop: asyncio.Runner, app: Service) -> None:
+    """If clients of an iteration leave before it ends, the other clients still get their answers."""
+
+    async def run() -> list[bytes]:
+        """Send three pushes in one iteration. Two clients leave before it ends."""
+        connections = [connect_to(app) for _ in range(3)]
+        for connection, body in zip(connections, (BODY, FAILING_BODY, BODY), strict=True):
+            connection.receive(post("/v1/predict", body, PLAIN))
+        for connection in connections[:2]:
+            connection.disconnect()
+        await connections[2].answers(1)
+        return [b"".join(connection.transport.sent) for connection in connections]
+
+    *gone, stayed = loop.run(run())
+    assert gone == [b"", b""]
+    assert status(stayed) == 200
+
+
+@pytest.mark.parametrize("cut", [0, 5], ids=["complete", "incomplete"])
+def test_a_request_that_has_begun_at_shutdown_is_answered(loop: asyncio.Runner, app: Service, cut: int) -> None:
+    """At shutdown a request on a connection is answered, and an incomplete one closes its connection."""
+
+    async def run() -> bytes:
+        """Shut down in the middle of a request, or between it and its answer."""
+        connection = connect_to(app)
+        sent = post("/v1/predict", BODY, PLAIN)
+        connection.receive(sent[: len(sent) - cut])
+        connection.protocol.shutdown()
+        connection.receive(sent[len(sent) - cut :])
+        return await connection.answers(1)
+
+    received = loop.run(run())
+    assert status(received) == 200
+    assert (b"connection: close" in received) is (cut > 0)
+
+
+def test_a_draining_service_closes_the_connection_with_its_answer(loop: asyncio.Runner, app: Service) -> None:
+    """While the service drains, the framework answers and closes the connection."""
+
+    async def run() -> tuple[bytes, bool]:
+        """Send a push while the service drains."""
+        connection = connect_to(app)
+        connection.state.default_headers = [CLOSE]
+        connection.receive(post("/v1/predict", BODY, PLAIN))
+        return await connection.answers(1), connection.transport.closed
+
+    received, closed = loop.run(run())
+    assert b"connection: close" in received
+    assert closed
