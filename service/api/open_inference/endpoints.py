@@ -46,7 +46,9 @@ def inflate(content: bytes, encoding: str, limit: int) -> bytes:
     try:
         found = stream.decompress(content, limit + 1)
     except zlib.error as error:
-        raise MalformedBodyError("body: received bytes of another encoding than Content-Encoding declares") from error
+        raise MalformedBodyError(
+            "body: received another encoding; accepted is one stream of the encoding in header Content-Encoding"
+        ) from error
     if len(found) > limit:
         raise BodyTooLargeError(limit)
     if not stream.eof or stream.unused_data:
