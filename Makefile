@@ -46,7 +46,7 @@ train: data ## fit MODEL, measure it, fit it again on all objects, publish its n
 
 # The tests of a module run in one process, for the fixtures that they share (tests/conftest.py).
 test: $(VENV)/dev ## run all tests, on all cores
-	$(BIN)/pytest --numprocesses auto --maxprocesses 8 --dist loadgroup --no-loadscope-reorder
+	$(BIN)/pytest --numprocesses auto --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 
 fuzz: $(VENV)/dev ## send 100,000 generated requests and count the answers by route and status: a minute or two
 	CAZSL_FUZZ_REQUESTS=100000 $(BIN)/pytest -s tests/test_fuzz.py

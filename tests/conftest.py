@@ -1,13 +1,16 @@
 """Options and fixtures of all tests."""
 
+import importlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from tests.ray_cluster import ENVIRONMENT, TwoNodes
 
-SLOWEST = ("test_bucket_storage.py",)  # modules by their duration
+RAY = ("test_executors.py", "test_predict_file.py", "test_reproduction.py")  # modules that use the Ray cluster
+FIRST = (*RAY, "test_bucket_storage.py")
 ROOT = Path(__file__).resolve().parent.parent
 
 
@@ -16,21 +19,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--renew-openapi", action="store_true", help="write openapi/openapi.json from the app")
 
 
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Run a module's tests in one process, and the modules that use the Ray cluster in the same one.
+
+    Groups by mark would not do: pytest-xdist 3.8 loses them with pytest 9.2.
+    """
+    scheduling = importlib.import_module("xdist.scheduler").LoadScopeScheduling  # imported by name: it has no types
+    return type("ModuleScheduling", (scheduling,), {"_split_scope": staticmethod(_process)})(config, log)
+
+
+def _process(test: str) -> str:
+    """Name the process of a test."""
+    module = Path(test.partition("::")[0])
+    return "ray" if module.name in RAY else str(module)
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep the tests of a module in one process, and those of the Ray cluster too. The slowest groups begin first."""
-    for item in items:
-        item.add_marker(pytest.mark.xdist_group("ray" if _uses_cluster(item) else str(item.path)))
-    items.sort(key=_rank)
-
-
-def _uses_cluster(item: pytest.Item) -> bool:
-    return "two_nodes" in getattr(item, "fixturenames", ())
-
-
-def _rank(item: pytest.Item) -> int:
-    """Return the place of a test's group: long groups begin first, so that no process waits for one at the end."""
-    names = (*SLOWEST, item.path.name)
-    return 0 if _uses_cluster(item) else 1 + names.index(item.path.name)
+    """Begin with the slowest modules, so that no process waits for one at the end."""
+    items.sort(key=lambda item: FIRST.index(item.path.name) if item.path.name in FIRST else len(FIRST))
 
 
 @pytest.fixture(scope="session")

@@ -9,9 +9,7 @@ A bucket has no rename, so the order of writes and conditional writes take its p
 creating the model file claims the number. The manifest follows. Then ``state.json`` is replaced on the condition that
 no other writer replaced it. That one write makes a version visible, moves an alias or removes a version. It carries
 the event, so no event is lost: if its writer dies, the next writer adds it to the history. A version that no state
-names is invisible.
-
-Versions and states that were read are cached: see ``service.storage.bucket_cache``.
+names is invisible. Versions and states that were read are cached: see ``service.storage.bucket_cache``.
 """
 
 import json
