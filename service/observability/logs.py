@@ -15,7 +15,7 @@ REQUEST_LOGGER: Final = "service.requests"
 _HEAD: Final = {"level": "INFO", "logger": REQUEST_LOGGER, "message": "request"}
 _ORJSON: Final = orjson.OPT_UTC_Z
 _FLUSH_S: Final = 0.2
-_FLUSH_LINES: Final = 512
+_FLUSH_LINES: Final = 128  # holds the event loop for less than a millisecond
 
 
 def configure_logging(level: str) -> None:
