@@ -71,9 +71,7 @@ class RequestTelemetry:
             await self.app(scope, receive, send_with_id)
         except Exception:
             self.log_failure(record)
-            if (
-                record.status
-            ):  # half of the answer is sent: only the end of the connection shows the client that it failed
+            if record.status:  # half of the answer is sent: only the end of the connection shows that it failed
                 raise
             await self._internal_error(scope, receive, send_with_id)
         finally:

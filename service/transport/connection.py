@@ -235,8 +235,8 @@ class ShortcutConnection(BoundedConnection):
         """Write the answer of the shortcut, as uvicorn writes others."""
         self._submitted = False
         if not self.transport.is_closing():
-            lines = [b"%b: %b\r\n" % header for header in (*self.server_state.default_headers, *headers)]
-            self._writes.write_whole(b"".join((STATUS_LINE[status], *lines, b"\r\n", content)))
+            lines = b"\r\n".join([b": ".join(header) for header in (*self.server_state.default_headers, *headers)])
+            self._writes.write_whole(b"".join((STATUS_LINE[status], lines, b"\r\n\r\n", content)))
         self.on_response_complete()
 
     def _hand_over(self) -> None:
