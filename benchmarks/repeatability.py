@@ -8,11 +8,11 @@ Here the block rests on 16 feet and lies anywhere on the plate at any yaw. The p
 """
 
 import argparse
-import os
 
 import numpy as np
 from mujoco import rollout
 
+from service.processors import processors
 from training.simulation.dataset import TRACKER_STD, push_object, relative
 from training.simulation.scene import PUSHER_RADIUS_M
 from training.simulation.solids import Solid
@@ -35,7 +35,7 @@ def main() -> None:
         tuple((float(x_m), float(y_m)) for x_m in feet for y_m in feet),
     )
     start = np.tile((-half - PUSHER_RADIUS_M - 0.001, half / 2, 0.0), (repeats, 1))
-    threads = os.cpu_count() or 1
+    threads = processors()
     print(
         "| plate | mean x, y (mm), yaw (deg) | std of position (mm) | published | std of rotation (deg) | published |"
     )

@@ -16,7 +16,6 @@ The benchmark fails if a request failed or readiness was wrong. nginx and wrk co
 """
 
 import argparse
-import os
 import random
 import shutil
 import statistics
@@ -32,6 +31,7 @@ from benchmarks.http_load import ROOT
 from benchmarks.serving import ROWS, batch_loads
 from benchmarks.swap import NAME, publish
 from benchmarks.version_agreement import Agreement, VersionProbe
+from service.processors import processors
 from service.registry.registry import Registry
 
 A_DAY_S = 24 * 3600
@@ -51,7 +51,7 @@ def throughput(folder: Path, both: Sequence[Instance], rounds: int, seconds: int
                     _requests_per_s(WrkProcess(folder, port, seconds, None, load)) for port in (one, two)
                 )
                 found[pushes].append((alone, together))
-    print(f"\n## Throughput, {rounds} rounds of {seconds} s each, {os.cpu_count()} processors\n")
+    print(f"\n## Throughput, {rounds} rounds of {seconds} s each, {processors()} processors\n")
     print("| pushes a request | one instance (requests/s) | two | two to one, median (range) |\n|---|---|---|---|")
     for pushes, rates in found.items():
         ratios = [together / alone for alone, together in rates]

@@ -11,7 +11,6 @@ benchmarks/peers, run by the interpreter of an environment in which the peer is 
 import argparse
 import io
 import json
-import os
 import shutil
 import statistics
 import subprocess
@@ -28,6 +27,7 @@ from PIL import Image
 from benchmarks.http_load import OURS, PUSH, ROOT, Load, Server, WrkFigures, free_port, run_wrk, server, wrk_command
 from service.model.predictor import OnnxPredictor
 from service.model.tensors import ContextKind
+from service.processors import processors
 from service.pushing.contexts import ObjectContext
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 
@@ -201,7 +201,7 @@ def main() -> None:
             port = free_port()
             own = command if name == "ours" else [*command, str(port)]
             servers[name] = stack.enter_context(server(own, port))
-        print(f"{options.rounds} rounds of {options.seconds} s, {os.cpu_count()} processors, medians; load by wrk.")
+        print(f"{options.rounds} rounds of {options.seconds} s, {processors()} processors, medians; load by wrk.")
         if "singles" in parts:
             single_pushes(servers, folder, options.rounds, options.seconds)
         if "batches" in parts:

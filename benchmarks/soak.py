@@ -16,7 +16,6 @@ memory grew by more than the bound between the first and the last tenth. nginx a
 import argparse
 import json
 import math
-import os
 import platform
 import shutil
 import signal
@@ -41,6 +40,7 @@ from benchmarks.http_load import ROOT
 from benchmarks.soak_report import RECORD_FILE, write_report
 from benchmarks.swap import NAME, publish
 from benchmarks.version_agreement import Agreement, VersionProbe
+from service.processors import processors
 from service.registry.registry import Registry
 
 POLL_INTERVAL_S = 2.0
@@ -122,7 +122,7 @@ class Soak:
             poll_interval_s=POLL_INTERVAL_S,
             capacity_per_s=capacity_per_s,
             rate_per_s=rate_per_s,
-            processors=os.cpu_count(),
+            processors=processors(),
             python=platform.python_version(),
             version=service.__version__,
         )

@@ -4,11 +4,11 @@ python -m benchmarks.time_step [--objects 10] [--pushes 40]
 """
 
 import argparse
-import os
 
 import numpy as np
 from mujoco import rollout
 
+from service.processors import processors
 from service.pushing.contexts import ObjectContext
 from training.omnipush.published import omnipush_descriptors
 from training.simulation.dataset import push_object, sample_pushers
@@ -23,7 +23,7 @@ def main() -> None:
     parser.add_argument("--objects", type=int, default=10, help="objects, spread over the benchmark's list")
     parser.add_argument("--pushes", type=int, default=40, help="pushes of each")
     options = parser.parse_args()
-    threads = os.cpu_count() or 1
+    threads = processors()
     names = omnipush_descriptors()
     difference = []
     with rollout.Rollout(nthread=threads) as pool:

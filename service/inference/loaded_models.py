@@ -68,11 +68,8 @@ class LoadedModels:
             try:
                 fingerprint = self._registry.fingerprint()
                 self.counters.registry_up = True
-                if (
-                    fingerprint == self._last_fingerprint
-                    and not self._snapshot.problems
-                    and self._polls % THOROUGH_EVERY
-                ):
+                unchanged = fingerprint == self._last_fingerprint and not self._snapshot.problems
+                if unchanged and self._polls % THOROUGH_EVERY:
                     return
                 snapshot = self._next_snapshot()
                 self._last_fingerprint = fingerprint

@@ -15,6 +15,7 @@ from matplotlib.path import Path as DrawnPath
 
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
+from service.storage.disk import replace_whole
 from training.inspection.statistics import compare_statistics, missed
 from training.omnipush.published import published_normalisation
 from training.omnipush.pushes import Pushes
@@ -44,7 +45,7 @@ def write_report(pushes: Pushes, out: Path, seed: int = 0) -> tuple[Path, ...]:
     """
     out.mkdir(parents=True, exist_ok=True)
     files = tuple(out / name for name in (REPORT_FILE, HISTOGRAMS_FILE, GALLERY_FILE))
-    files[0].write_text(report(pushes), encoding="utf-8")
+    replace_whole(files[0], report(pushes).encode())
     # without dates and versions in the images, so that equal data give equal files
     histograms(pushes).savefig(files[1], dpi=110, metadata={"Software": None})
     gallery(pushes, seed).savefig(files[2], dpi=110, metadata={"Software": None})

@@ -14,6 +14,7 @@ from typing import Final
 
 from matplotlib.figure import Figure
 
+from service.storage.disk import replace_whole
 from training.fitting.evaluation import Evaluation
 from training.networks.methods import METHODS
 from training.paper.experiments import Cell, Claim, Experiment, PaperFigures, Table
@@ -78,10 +79,10 @@ def write_report(made: Reproduction, folder: Path) -> Path:
     """Write the Markdown report, the plot and the raw figures. Return the path of the report."""
     folder.mkdir(parents=True, exist_ok=True)
     raw = raw_figures(made.experiment, made.command, made.seeds, made.epochs, made.results)
-    (folder / FIGURES_FILE).write_text(raw, encoding="utf-8")
+    replace_whole(folder / FIGURES_FILE, raw.encode())
     plot(made).savefig(folder / PLOT_FILE, metadata={"Software": None})
     path = folder / REPORT_FILE
-    path.write_text(render(made), encoding="utf-8")
+    replace_whole(path, render(made).encode())
     return path
 
 

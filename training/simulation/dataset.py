@@ -11,7 +11,6 @@ beyond the paper.
 
 import copy
 import hashlib
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,6 +20,7 @@ import numpy as np
 from mujoco import rollout
 from tqdm import tqdm
 
+from service.processors import processors
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M, into_object_frame
 from training.omnipush.declaration import declare_dataset
@@ -83,7 +83,7 @@ def simulate_dataset(plan: SimulationPlan, folder: Path, threads: int | None = N
     """
     declare_dataset(folder, plan.declaration())
     missing = [descriptor for descriptor in plan.descriptors if not has_object(folder, descriptor)]
-    threads = threads or os.cpu_count() or 1
+    threads = threads or processors()
     # one plate for all objects, as in a laboratory
     field = FrictionField(plan.surface, np.random.default_rng([plan.seed, *plan.surface.name.encode()]))
     with rollout.Rollout(nthread=threads) as pool:
