@@ -38,9 +38,9 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.storage service.registry service.schemas service.inference service.transport service.bulk "
         "service.api.v1 service.app",
         "training.omnipush": "service.errors service.model service.pushing service.storage",
-        "training.simulation": "service.errors service.pushing training.omnipush",
+        "training.simulation": "service.errors service.processors service.pushing training.omnipush",
         "training.networks": "service.model service.pushing training.omnipush",
-        "training.inspection": "service.errors service.pushing training.omnipush training.simulation",
+        "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
         "training.fitting": "service.errors service.model service.pushing service.storage training.omnipush "
         "training.networks",
         "training.publishing": "service.errors service.model service.pushing service.registry training.omnipush "
