@@ -90,8 +90,8 @@ def _fault(found: Mapping[str, Any], prefix: tuple[str, ...]) -> FieldFault:
         return FieldFault(".".join(path), "no value", "a value: the field is required")
     context = found.get("ctx") or {}
     if kind in ("too_short", "too_long") and "actual_length" in context:
-        wanted = context.get("min_length", context.get("max_length"))
-        return FieldFault(".".join(path), f"{context['actual_length']} values", f"{wanted} values")
+        wanted = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
+        return FieldFault(".".join(path), f"{context['actual_length']} values", wanted)
     accepted = _ACCEPTED.get(kind, message.removeprefix("Input should be "))
     return FieldFault(".".join(path), _describe(found.get("input")), accepted)
 

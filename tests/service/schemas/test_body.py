@@ -87,7 +87,7 @@ def test_a_fault_names_the_field_the_received_and_the_accepted_value(
     assert (fault.where, fault.received, fault.accepted) == (where, received, accepted)
 
 
-@pytest.mark.parametrize(("count", "accepted"), [(1, "2 values"), (4, "3 values")], ids=["too few", "too many"])
+@pytest.mark.parametrize(("count", "accepted"), [(1, "at least 2"), (4, "at most 3")], ids=["too few", "too many"])
 def test_a_list_of_another_length_is_refused_with_both_lengths(count: int, accepted: str) -> None:
     """A list with too few or too many values is refused with its length and the nearest accepted one."""
     (fault,) = refusal(Shape, {"points": [{"x": 0.0}] * count}).faults
