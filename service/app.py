@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import gc
 import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
@@ -141,7 +140,6 @@ def _lifespan(
             timer.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 await timer
-        gc.unfreeze()
         threads.close()
         log.flush()
 
@@ -182,10 +180,7 @@ async def _poll(models: LoadedModels, interval_s: float, polled: asyncio.Event) 
             await asyncio.to_thread(models.refresh)
         except Exception:  # the outermost ring of this task: a bug must not end the polling silently
             logger.exception("refresh failed")
-        if not polled.is_set():
-            gc.collect()
-            gc.freeze()  # these objects stay: to traverse them at each collection costs 5 us per push, and pauses
-            polled.set()
+        polled.set()
         await asyncio.sleep(max(0.0, began + interval_s - loop.time()))
 
 
