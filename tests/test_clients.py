@@ -127,6 +127,7 @@ def test_the_asyncio_client_works(url: str) -> None:
     """The asyncio client reads health and metadata, sends 20 concurrent requests and shows the text of an error."""
 
     async def scenario() -> None:
+        """Ask every question of the protocol."""
         async with concurrent.InferenceServerClient(url) as client:
             assert await client.is_server_live()
             assert await client.is_server_ready()

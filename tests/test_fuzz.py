@@ -106,9 +106,11 @@ async def ask(app: Service, method: str, path: str, headers: list[tuple[bytes, b
     sent: list[Message] = []
 
     async def receive() -> Message:
+        """Return the body in one message."""
         return {"type": "http.request", "body": body, "more_body": False}
 
     async def send(message: Message) -> None:
+        """Keep the messages of the answer."""
         sent.append(message)
 
     scope: dict[str, Any] = {
@@ -140,6 +142,7 @@ def test_no_mutation_of_an_attack_gets_a_5xx(caplog: pytest.LogCaptureFixture) -
     plain = b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"descriptor": "1a2b3c4a"}}'
 
     async def scenario() -> float:
+        """Send all mutations, and return the growth of memory."""
         app, before = make_app(), 0.0
         async with app.router.lifespan_context(app):
             for number in range(REQUESTS):

@@ -54,6 +54,7 @@ class MicroBatcher:
         future: asyncio.Future[Gaussian] = asyncio.get_running_loop().create_future()
 
         def callback(outcome: Gaussian | Exception) -> None:
+            """Settle the future."""
             if future.done():  # its client has left
                 return
             if isinstance(outcome, Exception):

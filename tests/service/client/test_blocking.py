@@ -175,6 +175,7 @@ def test_asyncio_client_returns_the_same_answers(
     """Every method of one asyncio client, shared by many tasks, returns the answers of the blocking client."""
 
     async def scenario() -> None:
+        """Ask for twenty batches at once."""
         async with AsyncClient(url, key=key[1], timeout_s=PATIENCE_S) as concurrent:
             batches = await asyncio.gather(*(concurrent.predict_batch(PUSHERS, OBJECT) for _ in range(20)))
             assert all((batch.mean == batches[0].mean).all() for batch in batches)
@@ -209,6 +210,7 @@ def concurrent(url: str, **options: Any) -> Any:
     """Predict one push with the asyncio client."""
 
     async def ask() -> Any:
+        """Ask for one prediction."""
         async with AsyncClient(url, **options) as client:
             return await client.predict([0.0, 0.0, 0.0], OBJECT)
 

@@ -136,6 +136,7 @@ def test_image_is_read_inside_a_running_event_loop(picture: Path, project_root: 
     """The blocking client reads images inside a running event loop, as in a notebook."""
 
     async def notebook() -> None:
+        """Use the client where a loop is running."""
         with Client.local(str(project_root / "models")) as client:
             assert client.make_context(picture).visual
             assert client.predict_image(picture, [[-0.075, 0.0, 0.0]]).mean.shape == (1, 3)
