@@ -19,6 +19,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--renew-openapi", action="store_true", help="write openapi/openapi.json from the app")
 
 
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Run a module's tests in one process, and the modules that use the Ray cluster in the same one.
 
