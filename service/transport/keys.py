@@ -63,15 +63,15 @@ class Keys:
         """Return True if keys are required."""
         return self._path is not None
 
-    def admit(self, authorization: bytes | None, scope: Scope) -> None:
-        """Accept a request with this Authorization header for a scope.
+    def admit(self, authorization: bytes | None, scope: Scope) -> Grant | None:
+        """Return the grant of the key in this Authorization header, or None if keys are off.
 
         Raises:
             MissingKeyError: the header has no key, or an unknown one.
             ForbiddenError: the key lacks the scope.
         """
         if self._path is None:
-            return
+            return None
         self._reread(self._path)
         kind, _, key = (authorization or b"").partition(b" ")
         digest = _digest(key.strip())
@@ -83,6 +83,7 @@ class Keys:
             raise MissingKeyError
         if scope not in found.scopes:
             raise ForbiddenError(scope)
+        return found
 
     def _reread(self, path: Path) -> None:
         """Read the file again if it has changed. If it cannot be read, no key is accepted."""

@@ -320,10 +320,10 @@ class CountingKeys(Keys):
         super().__init__(path)
         self.checks = 0
 
-    def admit(self, authorization: bytes | None, scope: Scope) -> None:
+    def admit(self, authorization: bytes | None, scope: Scope) -> Grant | None:
         """Count a check, then decide as usual."""
         self.checks += 1
-        super().admit(authorization, scope)
+        return super().admit(authorization, scope)
 
 
 class CountingReader:

@@ -142,6 +142,15 @@ def test_a_missing_file_accepts_no_key(path: Path) -> None:
         keys.admit(key, Scope.METRICS)
 
 
+def test_admission_returns_the_grant_of_the_key(path: Path) -> None:
+    """An admitted request has the grant of its key, so that limits can count by caller. Without keys it has none."""
+    key = grant(path, Scope.PREDICT, name="robot-9")
+    admitted = Keys(path).admit(f"Bearer {key}".encode(), Scope.PREDICT)
+    assert admitted is not None
+    assert admitted.name == "robot-9"
+    assert Keys(None).admit(None, Scope.PREDICT) is None
+
+
 def test_a_grant_is_its_line_and_never_its_key() -> None:
     """A grant is parsed from its own line, which does not contain the key."""
     made, key = Grant.new("robot-7", frozenset(Scope))
