@@ -32,6 +32,7 @@ from service.observability.telemetry import RequestTelemetry
 from service.schemas.problems import ProblemBody
 from service.settings import Settings
 from service.transport.admission import Admission, AdmissionLimits
+from service.transport.callers import Callers
 from service.transport.endpoints import Endpoints
 from service.transport.fast_path import FastPath, Shortcut
 from service.transport.keys import Keys
@@ -99,7 +100,7 @@ def create_app(
     threads = ThreadPool(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
-    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads, keys)
+    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads)
     app = Service(
         title="CAZSL",
         version=service.__version__,
@@ -109,7 +110,7 @@ def create_app(
         redoc_url=None,
         redirect_slashes=False,  # a redirect would repeat the host in the request
     )
-    admission = Admission(FastPath(app.framework, endpoints), _limits(settings))
+    admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
     metrics = exposition(app.requests, gauges(models, readiness, threads, admission))
     app.parts = Parts(models, readiness, keys, endpoints, metrics)

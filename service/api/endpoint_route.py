@@ -8,6 +8,7 @@ from fastapi.routing import APIRoute
 
 from service.api.dependencies import parts_of
 from service.observability.records import record_of
+from service.transport.callers import caller_of
 from service.transport.endpoints import HttpRequest
 from service.transport.fast_path import note_answer
 
@@ -25,7 +26,7 @@ class EndpointRoute(APIRoute):
         async def answer(request: Request) -> Response:
             """Answer one request."""
             endpoints, scope = parts_of(request).endpoints, request.scope
-            asked = HttpRequest(scope["headers"], await request.body(), request.path_params)
+            asked = HttpRequest(scope["headers"], await request.body(), request.path_params, caller_of(scope))
             answer = await endpoints.answer(endpoints.at(self.path), asked)
             note_answer(record_of(scope), answer)
             headers = {name.decode(): value.decode() for name, value in answer.headers}

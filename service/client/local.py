@@ -19,6 +19,7 @@ from service.inference.snapshot import Snapshot
 from service.model.predictor import OnnxPredictor
 from service.model.reference import NAME_PATTERN, VERSION_PATTERN
 from service.registry.location import open_registry, trusted_keys
+from service.transport.callers import LOCAL
 from service.transport.endpoints import NO_PARAMETERS, Endpoint, HttpRequest
 from service.transport.problems import problem_body
 
@@ -76,7 +77,7 @@ class InProcess(httpx2.BaseTransport, httpx2.AsyncBaseTransport):
 
     def _predict(self, endpoint: Endpoint[Any], request: httpx2.Request) -> bytes:
         headers = [(name.lower(), value) for name, value in request.headers.raw]
-        asked = HttpRequest(headers, request.content, NO_PARAMETERS)
+        asked = HttpRequest(headers, request.content, NO_PARAMETERS, LOCAL)
         if endpoint.is_read_quickly(asked):
             return endpoint.answer(self._models, asked).content
         # A form is parsed in an event loop, and this thread may be running one already, as notebooks do.

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import BodyTooLargeError, CazslError, OverloadedError, SlowBodyError, TooManyRequestsError
+from service.observability.records import record_of
+from service.transport.callers import Callers
 from service.transport.endpoints import header
 from service.transport.problems import problem_response
 
@@ -99,13 +101,14 @@ class BodyDeadline:
 class Admission:
     """A ring that reads the body of every request within the limits, and counts the requests in flight."""
 
-    def __init__(self, app: ASGIApp, limits: AdmissionLimits) -> None:
+    def __init__(self, app: ASGIApp, limits: AdmissionLimits, callers: Callers) -> None:
         self._app = app
+        self._callers = callers
         self._limits = limits
         self._deadline = BodyDeadline(limits.body_s)
         self.in_flight = 0
         self.held_bytes = 0
-        self._callers: Counter[object] = Counter()
+        self._running: Counter[str] = Counter()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, or refuse it."""
@@ -113,6 +116,7 @@ class Admission:
             await self._app(scope, receive, send)
             return
         try:
+            caller = record_of(scope).caller = self._callers.admit(scope)
             content = await self._read(scope, receive)
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
@@ -120,7 +124,7 @@ class Admission:
         if content is None:  # the client has left
             return
         try:
-            caller = self._enter(scope)
+            self._enter(caller)
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
         else:
@@ -131,39 +135,34 @@ class Admission:
         finally:
             self.held_bytes -= len(content)
 
-    def check(self, scope: Scope) -> None:
-        """Admit a request that is answered at once, so that it never counts as in flight.
+    def admit(self, scope: Scope) -> str:
+        """Admit a request that is answered at once, so that it never counts as in flight. Return its caller.
 
         Raises:
+            MissingKeyError, ForbiddenError: its key does not admit it.
             OverloadedError, TooManyRequestsError: there are too many others.
         """
+        caller = self._callers.admit(scope)
+        self._check(caller)
+        return caller
+
+    def _check(self, caller: str) -> None:
         limits = self._limits
         if self.in_flight >= limits.in_flight:
             raise OverloadedError(f"{limits.in_flight} requests in flight")
-        if limits.in_flight_per_caller and self._callers[self._caller(scope)] >= limits.in_flight_per_caller:
+        if limits.in_flight_per_caller and self._running[caller] >= limits.in_flight_per_caller:
             raise TooManyRequestsError(limits.in_flight_per_caller)
 
-    def _caller(self, scope: Scope) -> object:
-        """Return the key of the caller, or else its address. Return None if callers are not counted."""
-        if not self._limits.in_flight_per_caller:
-            return None
-        return header(scope["headers"], b"authorization") or (scope["client"] or ("",))[0]
-
-    def _enter(self, scope: Scope) -> object:
-        self.check(scope)
-        caller = self._caller(scope)
-        if caller is not None:
-            self._callers[caller] += 1
+    def _enter(self, caller: str) -> None:
+        self._check(caller)
+        self._running[caller] += 1
         self.in_flight += 1
-        return caller
 
-    def _leave(self, caller: object) -> None:
+    def _leave(self, caller: str) -> None:
         self.in_flight -= 1
-        if caller is None:
-            return
-        self._callers[caller] -= 1
-        if not self._callers[caller]:
-            del self._callers[caller]
+        self._running[caller] -= 1
+        if not self._running[caller]:
+            del self._running[caller]
 
     async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
         """Return the complete body, counted among the held bytes, or None if the client left.

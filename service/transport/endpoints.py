@@ -1,9 +1,9 @@
 """Endpoints: the one way from the bytes of a request to the bytes of its answer.
 
 An ``Endpoint`` declares how its requests are checked, read and turned into a query. ``Endpoints`` is the table of all
-endpoints, with the models, threads, micro-batches and API keys that an answer needs. All callers use it: the connection
+endpoints, with the models, threads and micro-batches that an answer needs. All callers use it: the connection
 (single pushes), the ring in front of the framework, and the framework's own routes. The in-process client uses the
-endpoints themselves. A request, good or refused, is read once and its key is checked once.
+endpoints themselves. A request, good or refused, is read once. Its key is checked before, by ``admission``.
 """
 
 import re
@@ -16,7 +16,6 @@ from service.inference.loaded_models import LoadedModels
 from service.inference.micro_batching import MicroBatcher
 from service.inference.query import Answer, Query
 from service.inference.snapshot import Snapshot
-from service.transport.keys import Keys, Scope
 from service.transport.threads import ThreadPool
 
 R = TypeVar("R")
@@ -36,11 +35,19 @@ class Weight(Enum):
 
 @dataclass(frozen=True, slots=True)
 class HttpRequest:
-    """Request of HTTP, by the parts that decide its answer."""
+    """Request of HTTP, by the parts that decide its answer.
+
+    Attributes:
+        headers: names in lower case, and values.
+        content: the whole body.
+        parameters: parameters of the path.
+        caller: whom its work counts for, see ``callers``.
+    """
 
     headers: Headers
     content: bytes
-    parameters: Mapping[str, str]  # of the path
+    parameters: Mapping[str, str]
+    caller: str = ""
 
 
 def header(headers: Headers, name: bytes) -> bytes | None:
@@ -86,21 +93,18 @@ class Endpoint(Generic[R]):
 
 
 class Endpoints:
-    """The table of endpoints, with the models, threads and keys that answers need.
+    """The table of endpoints, with the models and threads that answers need.
 
     Attributes:
         micro_batcher: predicts the single pushes of each event loop iteration.
     """
 
-    def __init__(
-        self, endpoints: Iterable[Endpoint[Any]], models: LoadedModels, threads: ThreadPool, keys: Keys
-    ) -> None:
+    def __init__(self, endpoints: Iterable[Endpoint[Any]], models: LoadedModels, threads: ThreadPool) -> None:
         self._table = {endpoint.path: endpoint for endpoint in endpoints}
         self._exact = {path: endpoint for path, endpoint in self._table.items() if "{" not in path}
         self._patterns = [(_pattern(path), endpoint) for path, endpoint in self._table.items() if "{" in path]
         self._models = models
         self._threads = threads
-        self._keys = keys
         self.micro_batcher = MicroBatcher()
 
     def at(self, template: str) -> Endpoint[Any]:
@@ -131,7 +135,6 @@ class Endpoints:
             OverloadedError, DeadlineError: the threads are busy.
             PredictionError: the runtime failed.
         """
-        self._admit(request.headers)
         endpoint.check(request.headers)
         models = self._models.snapshot
         if not endpoint.is_read_quickly(request):
@@ -158,16 +161,11 @@ class Endpoints:
         Raises:
             RequestError, ModelNotReadyError: see ``answer``.
         """
-        self._admit(request.headers)
         read = endpoint.read(request)
         if endpoint.weigh(read) is not Weight.SINGLE:
             return None
         asked = endpoint.ask(self._models.snapshot, read)
         return None if isinstance(asked, Answer) else asked
-
-    def _admit(self, headers: Headers) -> None:
-        if self._keys.wanted:
-            self._keys.admit(header(headers, b"authorization"), Scope.PREDICT)
 
 
 def _pattern(template: str) -> re.Pattern[str]:

@@ -52,7 +52,8 @@ class FastPath:
         record.route = endpoint.path
         content = (await receive())["body"]  # all of it: admission has read it
         try:
-            answer = await self._endpoints.answer(endpoint, HttpRequest(scope["headers"], content, parameters))
+            asked = HttpRequest(scope["headers"], content, parameters, record.caller)
+            answer = await self._endpoints.answer(endpoint, asked)
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
             return
@@ -125,9 +126,10 @@ class Shortcut:
         self._endpoints.micro_batcher.flush()
 
     def _query(self, scope: Scope, record: RequestRecord, content: bytes) -> Query | None:
-        self._admission.check(scope)
         record.route = self._endpoint.path
-        return self._endpoints.query_single(self._endpoint, HttpRequest(scope["headers"], content, NO_PARAMETERS))
+        record.caller = self._admission.admit(scope)
+        asked = HttpRequest(scope["headers"], content, NO_PARAMETERS, record.caller)
+        return self._endpoints.query_single(self._endpoint, asked)
 
     def _settle(
         self, request: ShortcutRequest, record: RequestRecord, reply: Reply, query: Query, outcome: Gaussian | Exception

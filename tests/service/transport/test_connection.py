@@ -32,6 +32,7 @@ from service.observability.metrics import RequestMetrics
 from service.observability.telemetry import RequestTelemetry
 from service.settings import Settings
 from service.transport.admission import Admission, AdmissionLimits
+from service.transport.callers import Callers
 from service.transport.connection import CLOSE, PairedWrites
 from service.transport.endpoints import LIGHT_BYTES, Endpoint, Endpoints, Weight
 from service.transport.fast_path import Shortcut
@@ -202,7 +203,7 @@ def connect_to(app: Service) -> FakeConnection:
 class Buggy(Admission):
     """An admission with a bug."""
 
-    def check(self, scope: Any) -> None:
+    def admit(self, scope: Any) -> str:
         """Raise an exception that is not of our tree."""
         raise ZeroDivisionError("the fake has a bug")
 
@@ -215,8 +216,8 @@ def shortcut_only(
     endpoint: Endpoint[Any] = SINGLE,
 ) -> Shortcut:
     """Create a shortcut in front of a framework that answers every request with 418."""
-    endpoints = Endpoints([endpoint], models, ThreadPool(1, 8, 10.0), Keys(keys))
-    admitted = admission(FRAMEWORK, AdmissionLimits(1 << 20, 10.0, in_flight, 0, 1 << 24))
+    endpoints = Endpoints([endpoint], models, ThreadPool(1, 8, 10.0))
+    admitted = admission(FRAMEWORK, AdmissionLimits(1 << 20, 10.0, in_flight, 0, 1 << 24), Callers(Keys(keys)))
     log = RequestLog(io.StringIO())
     telemetry = RequestTelemetry(admitted, FRAMEWORK, log, RequestMetrics(lambda *_: True))
     return Shortcut(endpoint, endpoints, admitted, telemetry)

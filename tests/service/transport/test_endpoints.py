@@ -4,12 +4,11 @@ import asyncio
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from service.errors import InvalidRequestError, MissingKeyError, NotAcceptableError
+from service.errors import InvalidRequestError, NotAcceptableError
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
@@ -26,7 +25,6 @@ from service.transport.endpoints import (
     Weight,
     header,
 )
-from service.transport.keys import Keys
 from service.transport.threads import ThreadPool
 from tests.fakes import FakePredictor, fake_models
 
@@ -114,9 +112,9 @@ def fake_endpoint(
     return Endpoint(path, check, read, ask, lambda _: weight, lambda _: is_read_quickly)
 
 
-def table(models: LoadedModels, *endpoints: Endpoint[int], keys: Path | None = None) -> Endpoints:
+def table(models: LoadedModels, *endpoints: Endpoint[int]) -> Endpoints:
     """Return a table of these endpoints."""
-    return Endpoints(endpoints, models, ThreadPool(1, 8, 10.0), Keys(keys))
+    return Endpoints(endpoints, models, ThreadPool(1, 8, 10.0))
 
 
 def answered(endpoints: Endpoints, endpoint: Endpoint[int], *pushes: int) -> list[Answer]:
@@ -225,19 +223,11 @@ def refuse(error: Exception) -> Callable[[object], None]:
     return check
 
 
-def test_the_key_is_checked_before_the_headers_and_these_before_the_body(
-    models: LoadedModels, model: LoadedModel, steps: Steps, tmp_path: Path
-) -> None:
-    """A request without a key is not looked at further, and one with bad headers is not read."""
-    (tmp_path / "keys").write_text("")
+def test_the_headers_are_checked_before_the_body(models: LoadedModels, model: LoadedModel, steps: Steps) -> None:
+    """A request with bad headers is not read."""
     endpoint = replace(fake_endpoint(steps, model, Weight.SINGLE), check=refuse(NotAcceptableError()))
-    locked, opened = table(models, endpoint, keys=tmp_path / "keys"), table(models, endpoint)
-    with pytest.raises(MissingKeyError):
-        answered(locked, endpoint, 1)
-    with pytest.raises(MissingKeyError):
-        locked.query_single(endpoint, REQUEST)
     with pytest.raises(NotAcceptableError):
-        answered(opened, endpoint, 1)
+        answered(table(models, endpoint), endpoint, 1)
     assert steps.taken == []
 
 

@@ -30,6 +30,7 @@ from service.registry.registry import Registry
 from service.schemas.contexts import IMAGE_EXAMPLE
 from service.settings import Settings
 from service.transport.admission import Admission, AdmissionLimits
+from service.transport.callers import Callers
 from service.transport.endpoints import Endpoints, HttpRequest
 from service.transport.fast_path import FastPath, Shortcut
 from service.transport.keys import Grant, Keys, Scope
@@ -52,10 +53,11 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Served:
 LIMITS = AdmissionLimits(1 << 20, 10.0, 8, 0, 1 << 24)
 
 
-def ringed(app: ASGIApp) -> ASGIApp:
+def ringed(app: ASGIApp, keys: Keys | None = None) -> ASGIApp:
     """Put telemetry and admission around an application, without the fast path."""
     log, metrics = RequestLog(io.StringIO()), RequestMetrics(lambda *_: True)
-    return RequestTelemetry(Admission(app, LIMITS), PlainTextResponse("internal", 500), log, metrics)
+    callers = Callers(keys or Keys(None))
+    return RequestTelemetry(Admission(app, LIMITS, callers), PlainTextResponse("internal", 500), log, metrics)
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def framework(served: Served) -> Iterator[TestClient]:
 def fast_path_only(served: Served) -> Iterator[TestClient]:
     """Return a client of the fast path in front of a framework that answers every request with 418."""
     threads = ThreadPool(1, 8, 10.0)
-    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(1 << 20)), served[1], threads, Keys(None))
+    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(1 << 20)), served[1], threads)
     yield TestClient(ringed(FastPath(PlainTextResponse("the framework", 418), endpoints)))
     threads.close()
 
@@ -316,7 +318,7 @@ def test_a_key_is_required_on_the_fast_path_too(served: Served, tmp_path: Path) 
 class CountingKeys(Keys):
     """Keys that count their checks."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path | None) -> None:
         super().__init__(path)
         self.checks = 0
 
@@ -331,10 +333,12 @@ class CountingReader:
 
     def __init__(self) -> None:
         self.reads = 0
+        self.callers: list[str] = []
 
     def __call__(self, request: HttpRequest) -> Any:
-        """Count a call, then read as usual."""
+        """Count a call and note its caller, then read as usual."""
         self.reads += 1
+        self.callers.append(request.caller)
         return SINGLE.read(request)
 
 
@@ -342,11 +346,11 @@ Send = Callable[[LoadedModels, Endpoints, Keys, bytes, dict[str, str]], int]
 
 
 def send_to_connection(
-    _models: LoadedModels, endpoints: Endpoints, _keys: Keys, body: bytes, headers: dict[str, str]
+    _models: LoadedModels, endpoints: Endpoints, keys: Keys, body: bytes, headers: dict[str, str]
 ) -> int:
     """Send a push on a connection with the shortcut. Return the status of its answer."""
     teapot = PlainTextResponse("the framework", 418)
-    admission = Admission(teapot, LIMITS)
+    admission = Admission(teapot, LIMITS, Callers(keys))
     telemetry = RequestTelemetry(admission, teapot, RequestLog(io.StringIO()), RequestMetrics(lambda *_: True))
 
     async def run() -> bytes:
@@ -359,10 +363,10 @@ def send_to_connection(
 
 
 def send_to_fast_path(
-    _models: LoadedModels, endpoints: Endpoints, _keys: Keys, body: bytes, headers: dict[str, str]
+    _models: LoadedModels, endpoints: Endpoints, keys: Keys, body: bytes, headers: dict[str, str]
 ) -> int:
     """Send a push to the fast path. Return the status of its answer."""
-    client = TestClient(ringed(FastPath(PlainTextResponse("the framework", 418), endpoints)))
+    client = TestClient(ringed(FastPath(PlainTextResponse("the framework", 418), endpoints), keys))
     return client.post(SINGLE.path, content=body, headers=headers).status_code
 
 
@@ -370,9 +374,9 @@ def send_to_framework(
     models: LoadedModels, endpoints: Endpoints, keys: Keys, body: bytes, headers: dict[str, str]
 ) -> int:
     """Send a push to the route of the framework, which requires keys. Return the status of its answer."""
-    app = create_app(Settings(keys=Path("/absent"), poll_interval_s=3600), models)
+    app = create_app(Settings(keys=Path("/absent") if keys.wanted else None, poll_interval_s=3600), models)
     app.parts = replace(app.parts, endpoints=endpoints, keys=keys)
-    app.rings = ringed(app.framework)
+    app.rings = ringed(app.framework, keys)
     with TestClient(app) as client:
         return client.post(SINGLE.path, content=body, headers=headers).status_code
 
@@ -393,7 +397,7 @@ def test_a_request_is_read_once_and_its_key_checked_once(
     grant, key = Grant.new("robot", frozenset({Scope.PREDICT}))
     (tmp_path / "keys").write_text(grant.line())
     keys, read = CountingKeys(tmp_path / "keys"), CountingReader()
-    endpoints = Endpoints([replace(SINGLE, read=read)], served[1], ThreadPool(1, 8, 10.0), keys)
+    endpoints = Endpoints([replace(SINGLE, read=read)], served[1], ThreadPool(1, 8, 10.0))
     assert send(served[1], endpoints, keys, body, PLAIN | {"Authorization": f"Bearer {key}"}) == status
     assert (read.reads, keys.checks) == (1, 1)
 
@@ -403,6 +407,20 @@ def test_a_request_without_its_key_is_not_read(served: Served, tmp_path: Path, s
     """On every way in, the key is checked exactly once, and a request without it is refused unread."""
     (tmp_path / "keys").write_text("")
     keys, read = CountingKeys(tmp_path / "keys"), CountingReader()
-    endpoints = Endpoints([replace(SINGLE, read=read)], served[1], ThreadPool(1, 8, 10.0), keys)
+    endpoints = Endpoints([replace(SINGLE, read=read)], served[1], ThreadPool(1, 8, 10.0))
     assert send(served[1], endpoints, keys, BODY, PLAIN) == 401
     assert (read.reads, keys.checks) == (0, 1)
+
+
+@pytest.mark.parametrize("send", WAYS_IN)
+@pytest.mark.parametrize("guarded", [True, False], ids=["with keys", "without keys"])
+def test_a_request_names_its_caller(served: Served, tmp_path: Path, send: Send, guarded: bool) -> None:
+    """On every way in, the caller is the verified key. Without keys it is the address, and never a header."""
+    grant, key = Grant.new("robot", frozenset({Scope.PREDICT}))
+    (tmp_path / "keys").write_text(grant.line())
+    read = CountingReader()
+    endpoints = Endpoints([replace(SINGLE, read=read)], served[1], ThreadPool(1, 8, 10.0))
+    keys = CountingKeys(tmp_path / "keys" if guarded else None)
+    assert send(served[1], endpoints, keys, BODY, PLAIN | {"Authorization": f"Bearer {key}"}) == 200
+    address = "address:192.0.2.1" if send is send_to_connection else "address:testclient"
+    assert read.callers == ["key:robot" if guarded else address]
