@@ -1,8 +1,8 @@
 """One model version: its name, its manifest, its graph, and the predictor that runs the graph.
 
 ``reference`` is the grammar of names, aliases and versions. ``manifest`` is the record of a version in the text of
-``canonical_json``, with the tensors and context kinds of ``tensors``. ``onnx_graph`` checks a graph, ``predictor`` runs
-it, ``self_check`` compares a stored output, and ``loaded_model`` is all of that in memory. ``domain`` is the protocol
-through which a registry asks for the tensors and gates of a physical domain, so that no module here knows of pushes.
-Calls point downward: this package imports ``service.errors`` only.
+``canonical_json``, read by ``strict_json``, with the tensors and context kinds of ``tensors``. ``onnx_graph`` checks a
+graph, ``predictor`` runs it, ``self_check`` compares a stored output, and ``loaded_model`` is all of that in memory.
+``domain`` is the protocol through which a registry asks for the tensors and gates of a physical domain, so that no
+module here knows of pushes. Calls point downward: this package imports ``service.errors`` only.
 """

@@ -15,11 +15,12 @@ from dataclasses import dataclass, fields
 from functools import cache
 from typing import Annotated, Final, Self
 
-from pydantic import ConfigDict, FailFast, Field, TypeAdapter, ValidationError, with_config
+from pydantic import AfterValidator, ConfigDict, FailFast, Field, TypeAdapter, ValidationError, with_config
 
 from service.errors import BrokenModelError
 from service.model.canonical_json import canonical
-from service.model.reference import NAME_PATTERN
+from service.model.reference import MAX_VERSION, NAME_PATTERN
+from service.model.strict_json import check_text, read_json
 from service.model.tensors import ContextKind, Tensor
 
 FORMAT: Final = 2  # of every manifest that is written
@@ -27,16 +28,24 @@ FORMATS: Final = (1, 2)  # of manifests that are read
 MANIFEST_FILE: Final = "manifest.json"
 MODEL_FILE: Final = "model.onnx"
 CARD_FILE: Final = "card.md"
+MAX_MANIFEST_BYTES: Final = 1 << 20
+MAX_ENTRIES: Final = 1000  # of a recipe, and of the set-ups that were measured
+MAX_SELF_CHECK_ROWS: Final = 1024
 _DIGEST_KEY: Final = "sha256"
 _VERSION_LINE: Final = b'\n  "version": '  # follows the digest. No text contains it, because JSON escapes line ends.
 _LARGEST: Final = 2**63
 _MAX_FAULTS: Final = 5
-_MESSAGES: Final = {"unexpected_keyword_argument": "unknown field", "missing": "the field is required"}
+_MESSAGES: Final = {
+    "unexpected_keyword_argument": "unknown field",
+    "missing": "the field is required",
+    "value_error": "a text of one line without control characters is accepted",
+}
 
 Integer = Annotated[int, Field(gt=-_LARGEST, lt=_LARGEST)]
 Number = Annotated[float, Field(gt=-float(_LARGEST), lt=float(_LARGEST))]
 Row = Annotated[list[Number], FailFast()]  # a collection stops at its first fault, so a file of faults costs little
 Rows = Annotated[list[Row], FailFast()]
+Text = Annotated[str, AfterValidator(check_text)]  # one line
 Sha256 = Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
 
 
@@ -60,7 +69,7 @@ class SelfCheck:
     A row of ``context`` is one object's indicator (36) or visual context (1,024, row by row).
     """
 
-    pusher: Rows
+    pusher: Annotated[Rows, Field(max_length=MAX_SELF_CHECK_ROWS)]
     context: Rows
     context_index: Annotated[list[Integer], FailFast()]
     mean: Rows
@@ -82,9 +91,9 @@ class NormalisationRecord:
 class DataRecord:
     """Data that a model was trained and measured on."""
 
-    source: str
-    sha256: str
-    split: str
+    source: Text
+    sha256: Text
+    split: Text
     train_objects: Integer
     train_pushes: Integer
     held_out_objects: Integer
@@ -105,7 +114,7 @@ class Metrics:
 class Calibration:
     """Share of held-out values inside the central intervals. Sharpness is the mean predicted std in m, m, rad."""
 
-    method: str
+    method: Text
     coverage_50: Number
     coverage_90: Number
     coverage_95: Number
@@ -117,19 +126,19 @@ class Manifest:
     """Record of one version. ``name`` and ``version`` must be those of its folder."""
 
     name: Annotated[str, Field(pattern=f"^{NAME_PATTERN}$")]
-    version: Annotated[Integer, Field(ge=1)]
-    created: str  # UTC, ISO 8601
-    method: str
+    version: Annotated[int, Field(ge=1, le=MAX_VERSION)]
+    created: Text  # UTC, ISO 8601
+    method: Text
     context_kind: ContextKind
     inputs: Annotated[tuple[Tensor, ...], FailFast()]
     outputs: Annotated[tuple[Tensor, ...], FailFast()]
     normalisation: NormalisationRecord
-    image_convention: str | None
-    recipe: Annotated[dict[str, str | int | float | bool], FailFast()]
+    image_convention: Text | None
+    recipe: Annotated[dict[Text, Text | Integer | float | bool], FailFast(), Field(max_length=MAX_ENTRIES)]
     data: DataRecord
-    code_version: str
-    metrics: Annotated[dict[str, Metrics], FailFast()]
-    calibration: Annotated[dict[str, Calibration], FailFast()]
+    code_version: Text
+    metrics: Annotated[dict[Text, Metrics], FailFast(), Field(max_length=MAX_ENTRIES)]
+    calibration: Annotated[dict[Text, Calibration], FailFast(), Field(max_length=MAX_ENTRIES)]
     self_check: SelfCheck
     files: Annotated[dict[str, FileDigest], FailFast()]
     format: Annotated[int, Field(ge=FORMATS[0], le=FORMATS[-1])] = FORMAT
@@ -174,11 +183,16 @@ def _reader() -> TypeAdapter[_Document]:
 
 
 def _read(content: bytes) -> _Document:
-    """Read the fields: exact types, no field missing or unknown, numbers finite and below 2**63."""
+    """Read the fields: exact types, no field missing or unknown, none twice, numbers finite and below 2**63."""
     try:
-        return _reader().validate_json(content)
+        document = _reader().validate_json(content)
     except ValidationError as error:
         raise BrokenModelError(f"{MANIFEST_FILE}: {_fault(error)}") from error
+    try:
+        read_json(content, MAX_MANIFEST_BYTES)
+    except ValueError as error:
+        raise BrokenModelError(f"{MANIFEST_FILE}: {error}") from error
+    return document
 
 
 def _fault(error: ValidationError) -> str:
@@ -188,7 +202,11 @@ def _fault(error: ValidationError) -> str:
         return "not a JSON document in UTF-8"
     if any(fault["loc"] in ((), ("format",)) for fault in found):
         return f"format: this version reads formats {' and '.join(map(str, FORMATS))} only"
-    return "; ".join(
-        f"{'.'.join(map(str, fault['loc']))}: {_MESSAGES.get(fault['type'], fault['msg'])}"
-        for fault in found[:_MAX_FAULTS]
-    )
+    faults = {_place(fault["loc"]): _MESSAGES.get(fault["type"], fault["msg"]) for fault in found[:_MAX_FAULTS]}
+    return "; ".join(f"{place}: {message}" for place, message in faults.items())
+
+
+def _place(parts: tuple[int | str, ...]) -> str:
+    """Return the name of a field. Names that the file itself chose are repeated only if they can be shown."""
+    parts = parts[:2] if parts[0] == "recipe" else parts  # the rest tells of the types that were tried
+    return ".".join(text if len(text) <= 64 and text.isprintable() else "(name)" for text in map(str, parts))

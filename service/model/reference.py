@@ -10,6 +10,7 @@ DEFAULT_ALIAS: Final = "champion"
 NAME_PATTERN: Final = "[a-z0-9][a-z0-9_-]{0,63}"
 ALIAS_PATTERN: Final = "[a-z][a-z0-9_-]{0,63}"  # for documents: it leaves out aliases that begin with a digit
 VERSION_PATTERN: Final = "[1-9][0-9]{0,8}"
+MAX_VERSION: Final = 999_999_999
 _NAME = re.compile(NAME_PATTERN)
 _VERSION = re.compile(VERSION_PATTERN)
 REFERENCE_SYNTAX: Final = "name, name@alias or name@version, of lower-case letters, digits, '-' and '_'"

@@ -12,26 +12,20 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
+from service.errors import ConflictError, InUseError, RegistryError, UnknownModelError
 from service.model.domain import Domain
-from service.model.manifest import CARD_FILE, FORMAT, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
+from service.model.manifest import MANIFEST_FILE, Manifest
 from service.model.reference import ModelReference, is_alias, is_name
+from service.model.strict_json import check_text
 from service.pushing.domain import PUSHING
-from service.registry.verification import (
-    MAX_CARD_BYTES,
-    MAX_MANIFEST_BYTES,
-    MAX_MODEL_BYTES,
-    Requirements,
-    Signatures,
-    VerifiedVersion,
-    parse_manifest,
-    verify,
-)
-from service.storage.base import RegistryFinding, Storage
+from service.registry.draft import Draft
+from service.registry.verification import MAX_MODEL_BYTES, Requirements, Signatures, VerifiedVersion, verify
+from service.storage.base import MAX_SIGNATURE_BYTES, RegistryFinding, Storage
 from service.storage.folder_storage import FolderStorage
 from service.storage.history import REMOVE, Event, History, ModelState, unrecorded
 
 NOWHERE: Final = 0  # as an expected version: the alias does not exist yet
+MAX_REASON: Final = 2_000  # characters, with the gates that a promotion was forced past
 
 
 class Registry:
@@ -122,25 +116,8 @@ class Registry:
             PublishError, BrokenModelError: the storage refused, or the draft is invalid. No version became visible.
             RegistryError: the version is visible, but could not be recorded.
         """
-        contents = {MODEL_FILE: model, CARD_FILE: card.encode()}
-        for file, limit in ((MODEL_FILE, self._required.max_model_bytes), (CARD_FILE, MAX_CARD_BYTES)):
-            if len(contents[file]) > limit:
-                raise BrokenModelError(f"{file}: {len(contents[file])} bytes; at most {limit} are allowed")
-        whole = replace(
-            draft, format=FORMAT, files={file: FileDigest.of(content) for file, content in contents.items()}
-        )
-
-        def manifest(version: int) -> bytes:
-            """Render the manifest for a number, and check that it can be read back."""
-            content = replace(whole, version=version).render()
-            if len(content) > MAX_MANIFEST_BYTES:
-                raise BrokenModelError(
-                    f"{MANIFEST_FILE}: {len(content)} bytes; at most {MAX_MANIFEST_BYTES} are allowed"
-                )
-            parse_manifest(content, self.domain)
-            return content
-
-        return replace(whole, version=self.storage.publish(_checked(draft.name), contents, manifest))
+        made = Draft.of(draft, model, card, self._required)
+        return replace(made.whole, version=self.storage.publish(_checked(draft.name), made.files, made.manifest))
 
     def copy(self, source: "Registry", name: str, version: int) -> VerifiedVersion:
         """Copy a version with its number and signature from another registry. It is verified at both ends.
@@ -178,6 +155,7 @@ class Registry:
             BrokenModelError: the version does not pass verification. The alias stays.
         """
         _check_alias(alias)
+        _check_reason(reason)
         self.read(name, version)
 
         def decide(state: ModelState) -> Event:
@@ -200,6 +178,7 @@ class Registry:
             RegistryError: the storage refused.
         """
         _check_alias(alias)
+        _check_reason(reason)
 
         def decide(state: ModelState) -> Event:
             """Drop the alias if it exists."""
@@ -217,6 +196,7 @@ class Registry:
             InUseError: an alias names it.
             RegistryError: the storage refused.
         """
+        _check_reason(reason)
 
         def decide(state: ModelState) -> Event:
             """Remove the version if no alias names it."""
@@ -259,6 +239,8 @@ class Registry:
         Raises:
             RegistryError: the signature could not be stored.
         """
+        if len(signature) > MAX_SIGNATURE_BYTES:
+            raise RegistryError(f"signature: {len(signature)} bytes; at most {MAX_SIGNATURE_BYTES} are accepted")
         self.storage.sign(self._known(name), version, signature)
 
     def fingerprint(self) -> Hashable:
@@ -293,6 +275,14 @@ def _checked(name: str) -> str:
 def _check_alias(alias: str) -> None:
     if not is_alias(alias):
         raise RegistryError("alias: accepted are 1 to 64 lower-case letters, digits, '-' and '_', but not a number")
+
+
+def _check_reason(reason: str | None) -> None:
+    """Accept a reason that the history can keep: one line of text."""
+    try:
+        check_text(reason or "", MAX_REASON)
+    except ValueError as error:
+        raise RegistryError(f"reason: {error}") from error
 
 
 def _listed(entries: Sequence[object]) -> str:

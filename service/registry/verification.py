@@ -8,10 +8,16 @@ from typing import Final, Protocol
 
 from service.errors import BrokenModelError
 from service.model.domain import Domain
-from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
+from service.model.manifest import (
+    CARD_FILE,
+    MANIFEST_FILE,
+    MAX_MANIFEST_BYTES,
+    MODEL_FILE,
+    FileDigest,
+    Manifest,
+)
 from service.storage.base import Storage
 
-MAX_MANIFEST_BYTES: Final = 1 << 20
 MAX_MODEL_BYTES: Final = 64 << 20
 MAX_CARD_BYTES: Final = 1 << 20
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from service.errors import BrokenModelError, CazslError, RegistryError
+from service.model.manifest import MAX_MANIFEST_BYTES
 from service.registry.registry import Registry
-from service.registry.verification import MAX_CARD_BYTES, MAX_MANIFEST_BYTES, MAX_MODEL_BYTES
+from service.registry.verification import MAX_CARD_BYTES, MAX_MODEL_BYTES
 from tests.fakes import publish_fake
 
 NAME = "push-indicator"

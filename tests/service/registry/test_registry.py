@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from service.errors import BrokenModelError, PublishError, RegistryError, UnknownModelError
+from service.model.manifest import MAX_MANIFEST_BYTES
 from service.model.reference import ModelReference
 from service.registry.registry import Registry
-from service.registry.verification import MAX_MANIFEST_BYTES
 from tests.fakes import draft_manifest, publish_fake
 
 NAME = "push-indicator"
