@@ -202,7 +202,9 @@ def _fault(error: ValidationError) -> str:
         return "not a JSON document in UTF-8"
     if any(fault["loc"] in ((), ("format",)) for fault in found):
         return f"format: this version reads formats {' and '.join(map(str, FORMATS))} only"
-    faults = {_place(fault["loc"]): _MESSAGES.get(fault["type"], fault["msg"]) for fault in found[:_MAX_FAULTS]}
+    faults: dict[str, str] = {}
+    for fault in found[:_MAX_FAULTS]:
+        faults.setdefault(_place(fault["loc"]), _MESSAGES.get(fault["type"], fault["msg"]))
     return "; ".join(f"{place}: {message}" for place, message in faults.items())
 
 
