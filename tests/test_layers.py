@@ -48,7 +48,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.paper": "service.errors service.model service.storage service.bulk training.omnipush "
         "training.networks training.fitting",
         "training.recipes": "",
-        "training.cli": "service.errors service.processors service.model service.registry service.bulk "
+        "training.cli": "service.errors service.processors service.model service.registry service.bulk service.cli "
         "training.omnipush training.simulation training.networks training.inspection training.fitting "
         "training.publishing training.paper",
     }.items()
@@ -63,6 +63,7 @@ EXCEPTIONS: Mapping[str, frozenset[str]] = {
 TRAINING_TAKES: Mapping[str, str] = {
     "service.storage": "service.storage.disk",
     "service.bulk": "service.bulk.executors",
+    "service.cli": "service.cli.terminal",
 }
 # Libraries that every module of some packages may use.
 LIBRARIES: Mapping[str, frozenset[str]] = {

@@ -7,7 +7,7 @@ from typing import Any, Final
 import click
 
 from service.cli.configuration import Configuration, configure
-from service.cli.terminal import errors_as_one_line, json_option, print_json
+from service.cli.terminal import echo, errors_as_one_line, json_option, print_json
 from service.errors import CazslError
 
 _OPTIONS: Final = (
@@ -62,7 +62,7 @@ def config(as_json: bool, **options: Any) -> None:
     widths = [max(len(str(row[column])) for row in rows) for column in (0, 1)]
     for name, value, origin in rows:
         shown = "" if value is None else str(value)
-        click.echo(f"{name:{widths[0]}}  {shown:{widths[1]}}  {origin}")
+        echo(f"{name:{widths[0]}}  {shown:{widths[1]}}  {origin}")
 
 
 def _text(value: object) -> object:

@@ -2,7 +2,7 @@
 
 import click
 
-from service.cli.terminal import errors_as_one_line
+from service.cli.terminal import echo, errors_as_one_line
 from service.transport.keys import Grant, Scope
 
 
@@ -32,5 +32,5 @@ def new_key(name: str, scopes: tuple[str, ...]) -> None:
     cazsl keys new robot-7 >> /etc/cazsl/keys
     """
     grant, key = Grant.new(name, frozenset(Scope(scope) for scope in scopes))
-    click.echo(grant.line())
-    click.echo(f"API key (shown only now): {key}", err=True)
+    echo(grant.line())
+    echo(f"API key (shown only now): {key}", err=True)

@@ -6,7 +6,7 @@ from typing import Final
 
 import click
 
-from service.cli.terminal import REFUSED, errors_as_one_line, json_option, print_json, registry_option
+from service.cli.terminal import REFUSED, echo, errors_as_one_line, json_option, print_json, registry_option
 from service.errors import RegistryError
 from service.model.domain import Verdict
 from service.model.predictor import OnnxPredictor
@@ -66,12 +66,12 @@ def promote(
 
 def _print_promotion(name: str, alias: str, found: promotion.Promotion) -> None:
     for verdict in found.verdicts:
-        click.echo(_verdict_text(verdict))
+        echo(_verdict_text(verdict))
     if found.event is not None:
         _print_move(name, found.event)
         return
     gates = ", ".join(verdict.gate for verdict in found.refused)
-    click.echo(f"refused by {gates}; {name}@{alias} stays. To move it anyway: --force --reason TEXT", err=True)
+    echo(f"refused by {gates}; {name}@{alias} stays. To move it anyway: --force --reason TEXT", err=True)
 
 
 def _verdict_text(verdict: Verdict) -> str:
@@ -80,9 +80,7 @@ def _verdict_text(verdict: Verdict) -> str:
 
 
 def _print_move(name: str, event: Event) -> None:
-    click.echo(
-        f"{name}@{event.alias}: {event.before or 'none'} -> {event.to}; running services switch at their next poll"
-    )
+    echo(f"{name}@{event.alias}: {event.before or 'none'} -> {event.to}; running services switch at their next poll")
 
 
 @click.command("rollback")
@@ -119,7 +117,7 @@ def remove(reference: str, reason: str | None, as_json: bool, registry: str) -> 
     if as_json:
         print_json({"event": event.as_document()})
     else:
-        click.echo(f"{parsed} is removed" + ("; its number is not used again" if parsed.version else ""))
+        echo(f"{parsed} is removed" + ("; its number is not used again" if parsed.version else ""))
 
 
 @click.command("prune")
@@ -141,7 +139,7 @@ def prune(name: str, keep: int, dry_run: bool, reason: str | None, as_json: bool
     if as_json:
         print_json({"removed": [] if dry_run else old, "would_remove": old if dry_run else []})
     else:
-        click.echo(f"{'would remove' if dry_run else 'removed'}: {', '.join(map(str, old)) or 'none'}")
+        echo(f"{'would remove' if dry_run else 'removed'}: {', '.join(map(str, old)) or 'none'}")
 
 
 @click.command("sign")
@@ -173,7 +171,7 @@ def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
     if as_json:
         print_json({"name": parsed.name, "version": version})
     else:
-        click.echo(f"{parsed.name}@{version} is signed")
+        echo(f"{parsed.name}@{version} is signed")
 
 
 @click.command("push")
@@ -205,7 +203,7 @@ def _copy(source: Registry, destination: Registry, reference: str, as_json: bool
     if as_json:
         print_json({"name": parsed.name, "version": version})
     else:
-        click.echo(f"{parsed.name}@{version} is copied, byte for byte; no alias was moved")
+        echo(f"{parsed.name}@{version} is copied, byte for byte; no alias was moved")
 
 
 CHANGES: Final = (promote, rollback, remove, prune, sign, push, pull)

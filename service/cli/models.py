@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from service.cli.terminal import FAILED, errors_as_one_line, json_option, print_json, registry_option
+from service.cli.terminal import FAILED, echo, echo_lines, errors_as_one_line, json_option, print_json, registry_option
 from service.errors import CazslError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
@@ -67,9 +67,9 @@ def list_models(registry: str, as_json: bool) -> None:
         return
     for name, state in states.items():
         aliases = ", ".join(f"{alias} -> {version}" for alias, version in sorted(state.aliases.items())) or "no alias"
-        click.echo(f"{name}  versions {', '.join(map(str, sorted(state.versions))) or 'none'}  {aliases}")
+        echo(f"{name}  versions {', '.join(map(str, sorted(state.versions))) or 'none'}  {aliases}")
     if not states:
-        click.echo("the registry has no models; train and publish one with: make train")
+        echo("the registry has no models; train and publish one with: make train")
 
 
 @models.command("show")
@@ -84,7 +84,7 @@ def show(reference: str, as_json: bool, registry: str) -> None:
     if as_json:
         print_json(json.loads(version.manifest.render()))
     else:
-        click.echo(version.card)
+        echo_lines(version.card)
 
 
 @models.command("verify")
@@ -109,9 +109,7 @@ def verify(reference: str | None, as_json: bool, registry: str) -> None:
         print_json(found)
     else:
         for line in found:
-            click.echo(
-                f"{line['reference']}  " + ("ok" if line["ok"] else f"BROKEN  {line['detail']}"), err=not line["ok"]
-            )
+            echo(f"{line['reference']}  " + ("ok" if line["ok"] else f"BROKEN  {line['detail']}"), err=not line["ok"])
     if not all(line["ok"] for line in found):
         sys.exit(FAILED)
 
@@ -136,10 +134,10 @@ def diff(first: str, second: str, everything: bool, as_json: bool, registry: str
         print_json([{"field": key, "first": before, "second": after} for key, before, after in rows])
         return
     if not rows:
-        click.echo("no difference")
+        echo("no difference")
     width = max((len(key) for key, *_ in rows), default=0)
     for key, before, after in rows:
-        click.echo(f"{key:<{width}}  {_text(before):>24}  {_text(after):>24}  {_change(before, after)}".rstrip())
+        echo(f"{key:<{width}}  {_text(before):>24}  {_text(after):>24}  {_change(before, after)}".rstrip())
 
 
 def _figures(manifest: Manifest) -> dict[str, Any]:
@@ -191,11 +189,11 @@ def history(name: str, as_json: bool, registry: str) -> None:
         )
     else:
         for event in found.events:
-            click.echo(f"{event.time}  {event.who:<12}  {_event_text(event)}")
+            echo(f"{event.time}  {event.who:<12}  {_event_text(event)}")
         for event in unrecorded:
-            click.echo(f"not recorded yet: {_event_text(event)}")
+            echo(f"not recorded yet: {_event_text(event)}")
         for problem in found.problems:
-            click.echo(f"PROBLEM  {problem}", err=True)
+            echo(f"PROBLEM  {problem}", err=True)
     if found.problems:
         sys.exit(FAILED)
 
@@ -224,7 +222,7 @@ def at(reference: str, when: str, as_json: bool, registry: str) -> None:
     if as_json:
         print_json({"name": parsed.name, "alias": alias, "at": moment.isoformat(), "version": version})
     else:
-        click.echo(f"{parsed.name}@{version}")
+        echo(f"{parsed.name}@{version}")
 
 
 def _moment(text: str) -> datetime:
@@ -250,12 +248,13 @@ def doctor(as_json: bool, registry: str) -> None:
         print_json([vars(finding) for finding in found])
     else:
         for finding in found:
-            click.echo(_finding_text(finding))
+            _print_finding(finding)
         if not found:
-            click.echo("no faults found")
+            echo("no faults found")
     if any(finding.severe for finding in found):
         sys.exit(FAILED)
 
 
-def _finding_text(finding: RegistryFinding) -> str:
-    return f"{'BROKEN' if finding.severe else 'note  '}  {finding.where}: {finding.wrong}\n        -> {finding.advice}"
+def _print_finding(finding: RegistryFinding) -> None:
+    echo(f"{'BROKEN' if finding.severe else 'note  '}  {finding.where}: {finding.wrong}")
+    echo(f"        -> {finding.advice}")

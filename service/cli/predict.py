@@ -10,7 +10,7 @@ import pydantic
 from service.api.v1.queries import ask_model
 from service.cli.models import load_reference
 from service.cli.predict_parquet import predict_parquet
-from service.cli.terminal import errors_as_one_line, registry_option
+from service.cli.terminal import errors_as_one_line, print_json, registry_option
 from service.inference.snapshot import DEFAULT_MODELS
 from service.model.tensors import ContextKind
 from service.registry.location import open_registry
@@ -85,4 +85,4 @@ def predict(
         raise click.ClickException(f"{first['loc'][-1]}: {first['msg']}") from error
     kind = ContextKind.NONE if context is None else ContextKind.INDICATOR
     answer = ask_model(load_reference(open_registry(registry), reference or DEFAULT_MODELS[kind]), request).answer()
-    click.echo(json.dumps(json.loads(answer.content), indent=2))
+    print_json(json.loads(answer.content))

@@ -8,6 +8,7 @@ import click
 
 from service.bulk.chunk import ModelParts
 from service.bulk.executors import RayExecutor, ThreadExecutor
+from service.cli.terminal import echo, printable
 from service.errors import DataError
 from service.inference.snapshot import DEFAULT_MODELS
 from service.model.reference import ModelReference
@@ -33,13 +34,15 @@ def predict_parquet(
     executor = ThreadExecutor(jobs or processors()) if ray_address is None else RayExecutor(ray_address)
     terminal = sys.stderr
     start_s = time.perf_counter()
-    with click.progressbar(length=pushes.rows, label=source.name, file=terminal, hidden=not terminal.isatty()) as bar:
+    with click.progressbar(
+        length=pushes.rows, label=printable(source.name), file=terminal, hidden=not terminal.isatty()
+    ) as bar:
         predict_file(pushes, target, model, executor, bar.update)
     elapsed_s = time.perf_counter() - start_s
     speed = f"{pushes.rows / elapsed_s:,.0f} rows/s, {executor.description}"
     name = f"{model.manifest.name}@{model.manifest.version}"
-    click.echo(f"{pushes.rows:,} pushes by {name} in {elapsed_s:.1f} s: {speed}")
-    click.echo(f"next: read {target}; mean_* and std_* are in m and rad, in the object's frame before the push")
+    echo(f"{pushes.rows:,} pushes by {name} in {elapsed_s:.1f} s: {speed}")
+    echo(f"next: read {target}; mean_* and std_* are in m and rad, in the object's frame before the push")
 
 
 def _model(registry: Registry, reference: str) -> ModelParts:

@@ -13,7 +13,7 @@ from starlette.types import ASGIApp
 
 from service.app import create_app
 from service.cli.config import configured, settings_options
-from service.cli.terminal import FAILED
+from service.cli.terminal import FAILED, echo
 from service.errors import CazslError
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
@@ -43,9 +43,7 @@ def serve(**options: Any) -> None:
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
     app = create_app(settings, models, trace=_tracing(settings.otlp_endpoint))
     if sys.stdout.isatty():  # log collectors get JSON lines only
-        click.echo(
-            f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops"
-        )
+        echo(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.
     signal.signal(signal.SIGTERM, lambda *_: None)
     serving = uvicorn.Config(

@@ -1,4 +1,9 @@
-"""Options and output of all commands: ``--registry``, ``--json``, and exit statuses that scripts can rely on.
+"""Output of all commands, of the trainer's too, and the options ``--registry`` and ``--json``.
+
+``echo`` and ``echo_lines`` are the only ways to a terminal. They escape every character that a terminal could obey,
+hide or reorder, because names and texts come from registries, files and folders of other people.
+
+Exit statuses, which scripts can rely on:
 
 0  done                               3  refused by a gate
 1  failed, or a version is broken     4  changed by another writer, or in use
@@ -20,7 +25,57 @@ from service.errors import CazslError, ConflictError, InUseError, UnknownModelEr
 P = ParamSpec("P")
 FAILED: Final = 1
 REFUSED: Final = 3
-_STATUSES: Final = ((ConflictError, 4), (InUseError, 4), (UnknownModelError, 5), (CazslError, FAILED))
+_STATUSES: Final = ((ConflictError, 4), (InUseError, 4), (UnknownModelError, 5))
+
+
+def printable(text: str) -> str:
+    """Return a text as one line without control characters: ``\\n``, ``\\x1b`` or ``\\u202e`` in their place.
+
+    Escaped are the characters that Unicode calls not printable: controls, formats such as the change of direction,
+    separators other than the space, halves of a character (from names that are not UTF-8), and unassigned ones.
+    """
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
+def echo(text: str, err: bool = False) -> None:
+    """Print one line to standard output, or to standard error.
+
+    Raises:
+        OSError: the stream is closed or full.
+    """
+    _write(printable(text), err)
+
+
+def echo_lines(text: str, err: bool = False) -> None:
+    """Print a text of several lines, such as a table or a card. Its line feeds are kept, and no other control.
+
+    Raises:
+        OSError: the stream is closed or full.
+    """
+    _write("\n".join(map(printable, text.split("\n"))), err)
+
+
+def print_json(document: Any) -> None:
+    """Print one JSON document, in ASCII: other characters are escaped."""
+    echo_lines(json.dumps(document, indent=2).replace("\x7f", "\\u007f"))  # the one control that JSON leaves alone
+
+
+def confirm(question: str) -> bool:
+    """Ask a question on the terminal and return True for yes."""
+    return click.confirm(printable(question), err=True)
+
+
+def _write(text: str, err: bool) -> None:
+    """Write a text. A character that the encoding of the stream lacks is escaped: LANG=C has ASCII alone."""
+    encoding = getattr(sys.stderr if err else sys.stdout, "encoding", None) or "utf-8"
+    click.echo(text.encode(encoding, "backslashreplace").decode(encoding), err=err)
+
+
+def status_of(error: CazslError) -> int:
+    """Return the exit status of an error."""
+    return next((status for kind, status in _STATUSES if isinstance(error, kind)), FAILED)
 
 
 def _default_registry() -> str:
@@ -52,12 +107,7 @@ def errors_as_one_line(command: Callable[P, None]) -> Callable[P, None]:
             if kwargs.get("as_json"):
                 print_json({"code": error.code, "detail": str(error)})
             else:
-                click.echo(f"Error: {error}", err=True)
-            sys.exit(next(status for kind, status in _STATUSES if isinstance(error, kind)))
+                echo(f"Error: {error}", err=True)
+            sys.exit(status_of(error))
 
     return run
-
-
-def print_json(document: Any) -> None:
-    """Print one JSON document."""
-    click.echo(json.dumps(document, indent=2))

@@ -1,11 +1,11 @@
 """``cazsl-train data``: check folders of pushes, write report pages of them, and export them in other variants."""
 
-import json
 from pathlib import Path
 from typing import Final
 
 import click
 
+from service.cli.terminal import echo, print_json
 from training.cli.errors import one_line_errors
 from training.inspection.inspection import inspect
 from training.inspection.text import inspection_document, inspection_lines
@@ -40,9 +40,10 @@ def check(folder: Path, as_json: bool) -> None:
     """
     inspection = inspect(folder)
     if as_json:
-        click.echo(json.dumps(inspection_document(inspection), indent=2))
+        print_json(inspection_document(inspection))
     else:
-        click.echo("\n".join(inspection_lines(inspection)))
+        for line in inspection_lines(inspection):
+            echo(line)
     if not inspection.fit_to_train_on:
         click.get_current_context().exit(1)
 
@@ -66,7 +67,7 @@ def report(folder: Path, out: Path | None) -> None:
 
     page, *images = write_report(pushes, out or folder / "report")
     names = " and ".join(path.name for path in images)
-    click.echo(f"{page}: {len(pushes.descriptors)} objects, {pushes.count} pushes, with {names}; next: read {page}")
+    echo(f"{page}: {len(pushes.descriptors)} objects, {pushes.count} pushes, with {names}; next: read {page}")
 
 
 @data.command("export", short_help="Write a folder again, raw, normalised or both.")
@@ -83,4 +84,4 @@ def report(folder: Path, out: Path | None) -> None:
 def export(folder: Path, target: Path, variant: str) -> None:
     """Write one surface's pushes of FOLDER into TARGET as Omnipush was published, with their declared source."""
     count = export_variants(folder, target, VARIANTS[variant])
-    click.echo(f"{target}: {count} objects, {variant}; next: cazsl-train data check {target}")
+    echo(f"{target}: {count} objects, {variant}; next: cazsl-train data check {target}")

@@ -7,6 +7,7 @@ import click
 import torch
 
 from service.bulk.executors import choose_executor
+from service.cli.terminal import echo
 from service.processors import processors
 from training.cli.errors import one_line_errors
 from training.cli.options import data_option, views_option
@@ -73,7 +74,7 @@ def reproduce(folder: Path, **options: Any) -> None:
     from training.paper import rebuild, report  # slow to import, as matplotlib is
 
     for path in rebuild.rebuild_tables(wanted, executor):
-        click.echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")
+        echo(f"next: read {path}; its plot is {path.parent / report.PLOT_FILE}")
 
 
 def default_jobs() -> int:

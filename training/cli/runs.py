@@ -6,6 +6,7 @@ from typing import Final
 
 import click
 
+from service.cli.terminal import echo, echo_lines
 from service.model.reference import DEFAULT_ALIAS, is_alias
 from service.registry.registry import NOWHERE, Registry
 from training.cli.errors import one_line_errors
@@ -43,7 +44,7 @@ def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, 
     wanted = wanted if set_up is None else replace(wanted, set_up=set_up)
     fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views), run)
     following = f"evaluate {run}" if wanted.split().test else f"publish {run} --measured RUN"
-    click.echo(f"weights and metrics are in {run}; next: cazsl-train {following}{data_options(folder, views)}")
+    echo(f"weights and metrics are in {run}; next: cazsl-train {following}{data_options(folder, views)}")
 
 
 @click.command("evaluate")
@@ -60,9 +61,9 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     data = read_training_data(split, recipe.context_kind, folder, views)
     found = evaluate_network(network, data.held_out)
     source = data.origin.get("held_out_source", data.origin["source"])
-    click.echo(f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {source}")
-    click.echo(_figures(found))
-    click.echo(f"next: cazsl-train publish {run}{data_options(folder, views)}")
+    echo(f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {source}")
+    echo_lines(_figures(found))
+    echo(f"next: cazsl-train publish {run}{data_options(folder, views)}")
 
 
 @click.command("publish")
@@ -104,13 +105,13 @@ def publish(
     store = Registry(registry)
     convention = None if pushes.views is None else convention_of(views or views_beside(folder))
     manifest = publish_network(recipe, network, pushes, store, convention, None if judged is None else judged[:2])
-    click.echo(f"published {manifest.name}@{manifest.version} in {registry}")
+    echo(f"published {manifest.name}@{manifest.version} in {registry}")
     if no_alias or alias in store.aliases(manifest.name):
-        click.echo(f"next: cazsl models promote {manifest.name} {manifest.version} --alias {alias}")
+        echo(f"next: cazsl models promote {manifest.name} {manifest.version} --alias {alias}")
         return
     store.point_alias(manifest.name, alias, manifest.version, expect=NOWHERE)
-    click.echo(f"{manifest.name}@{alias} is version {manifest.version} now")
-    click.echo(f"next: cazsl models show {manifest.name}@{manifest.version}")
+    echo(f"{manifest.name}@{alias} is version {manifest.version} now")
+    echo(f"next: cazsl models show {manifest.name}@{manifest.version}")
 
 
 def _figures(found: Evaluation) -> str:

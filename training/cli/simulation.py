@@ -7,6 +7,7 @@ from typing import Final
 
 import click
 
+from service.cli.terminal import echo
 from training.cli.errors import one_line_errors
 from training.inspection.statistics import compare_statistics, missed
 from training.inspection.text import statistics_lines
@@ -44,18 +45,21 @@ def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads:
         simulated = simulate_dataset(plan, folder / name, threads)
         _describe_pushes(folder / name, simulated, time.perf_counter() - started)
         write_views(folder / VIEWS_FOLDER, objects)
-    click.echo(f"{folder / VIEWS_FOLDER}: top-down views of the objects; next: cazsl-train fit push-indicator")
+    echo(f"{folder / VIEWS_FOLDER}: top-down views of the objects; next: cazsl-train fit push-indicator")
 
 
 def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
     """Print the duration, the content of the folder, and its statistics beside the published ones."""
     found = read_folder(folder)
     if simulated:
-        click.echo(f"{simulated} pushes took {seconds:.0f} s, {1e3 * seconds / simulated:.1f} ms a push")
-    click.echo(f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, ", nl=False)
+        echo(f"{simulated} pushes took {seconds:.0f} s, {1e3 * seconds / simulated:.1f} ms a push")
     pushers, outcomes = found.rows()
-    click.echo(f"{100 * missed(outcomes).mean():.2f} % missed the object; sha256 {found.digest}")
-    click.echo("\n".join(statistics_lines(compare_statistics(pushers, outcomes, published_normalisation()))))
+    echo(
+        f"{folder}: {found.source}: {len(found.descriptors)} objects, {found.count} pushes, "
+        f"{100 * missed(outcomes).mean():.2f} % missed the object; sha256 {found.digest}"
+    )
+    for line in statistics_lines(compare_statistics(pushers, outcomes, published_normalisation())):
+        echo(line)
 
 
 @click.command("images")
@@ -78,12 +82,12 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
         from training.inspection.view_gallery import draw_gallery  # slow to import, as matplotlib is
 
         draw_gallery(gallery, seed=seed)
-        click.echo(f"{gallery} shows clean views, camera views, and the 32 x 32 input of a model")
+        echo(f"{gallery} shows clean views, camera views, and the 32 x 32 input of a model")
         return
     folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
     descriptors = omnipush_descriptors()
     write_views(folder, descriptors, camera, seed)
     contexts = read_views(folder, descriptors)
     digest = hashlib.sha256(contexts.tobytes()).hexdigest()
-    click.echo(f"{folder}: {len(contexts)} views of 481 x 481; sha256 of their 32 x 32 contexts: {digest}")
-    click.echo("next: cazsl-train images --gallery views.png, and look at it")
+    echo(f"{folder}: {len(contexts)} views of 481 x 481; sha256 of their 32 x 32 contexts: {digest}")
+    echo("next: cazsl-train images --gallery views.png, and look at it")
