@@ -12,6 +12,7 @@ from service.inference.loaded_models import LoadedModels
 from service.inference.query import FIRST_CONTEXT, ContextBatch, predict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
+from service.model.onnx_graph import GraphSize
 from service.model.tensors import ContextKind, FloatArray, IndexArray, Tensor
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
@@ -22,6 +23,7 @@ BROKEN = b"broken"  # a model that the fake factory refuses
 LYING = b"lying"  # a model that loads and fails its self-check
 FAILING = b"failing"  # a model that passes its self-check and raises PredictionError on every other push
 BUGGY = b"buggy"  # a model that passes its self-check and raises ZeroDivisionError on every other push
+SMALL = GraphSize(1, 1)
 CHECKED_PUSH = [-0.08, 0.0, 0.0]
 Gaussian = tuple[list[float], list[float]]
 
@@ -32,11 +34,13 @@ class FakePredictor:
 
     Attributes:
         calls: pushers of each call, (n, 3).
+        size: size of the graph that it pretends to run.
     """
 
     model: bytes
     takes_context: bool
     calls: list[FloatArray] = field(default_factory=list)
+    size: GraphSize = SMALL
 
     def predict(
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None

@@ -15,14 +15,15 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.errors": "",
         "service.settings": "",
         "service.processors": "",
+        "service.turns": "",
         "service.observability": "",
-        "service.model": "service.errors",
+        "service.model": "service.errors service.turns",
         "service.pushing": "service.errors service.model",
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.model service.pushing service.storage",
         "service.schemas": "service.errors service.model service.pushing",
-        "service.inference": "service.errors service.model service.pushing service.storage service.registry "
-        "service.observability",
+        "service.inference": "service.errors service.turns service.model service.pushing service.storage "
+        "service.registry service.observability",
         "service.transport": "service.errors service.processors service.inference service.schemas "
         "service.observability",
         "service.bulk": "service.errors service.model service.pushing service.storage service.inference",

@@ -15,7 +15,7 @@ from service.inference.query import ContextBatch, predict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
-from service.model.self_check import check_itself
+from service.model.self_check import measure_cost
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import ObjectContext, VisualContext
 from service.pushing.poses import REACH_M, DoubleArray, unreachable, wrap_angles
@@ -52,8 +52,7 @@ class ModelParts:
             BrokenModelError: the model cannot be loaded, or fails its self-check.
         """
         predictor = OnnxPredictor(self.model, self.manifest.inputs, self.manifest.outputs)
-        check_itself(self.manifest, predictor)
-        return LoadedModel(self.manifest, "", predictor)
+        return LoadedModel(self.manifest, "", predictor, measure_cost(self.manifest, predictor))
 
 
 def predict_chunk(model: LoadedModel, chunk: Chunk) -> FloatArray:

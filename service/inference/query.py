@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from service.errors import ContextKindError
+from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import record_timing
@@ -59,13 +60,17 @@ def predict(model: LoadedModel, pushers: FloatArray, contexts: ContextBatch) -> 
     Raises:
         ContextKindError: the contexts are not of the kind that the model takes.
         PredictionError: the runtime failed.
+        DeadlineError: the answer is late or no longer wanted (in a thread of ``transport.threads`` only).
     """
     manifest = model.manifest
     if contexts.kind is not manifest.context_kind:
         accepted = f"a context of kind {manifest.context_kind} for {manifest.name}"
         raise ContextKindError.at(contexts.where, f"kind {contexts.kind}", accepted)
     began = time.perf_counter()
-    mean, std = model.predictor.predict(pushers, contexts.tensor, contexts.index)
+    if len(pushers) == 1 and (contexts.tensor is None or len(contexts.tensor) == 1):
+        mean, std = model.predictor.predict(pushers, contexts.tensor, contexts.index)
+    else:
+        mean, std = predict_in_pieces(model, pushers, contexts.tensor, contexts.index)
     record_timing("inference", time.perf_counter() - began)
     angles = mean[:, 2]
     inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)

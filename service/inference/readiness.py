@@ -44,7 +44,7 @@ class Readiness:
         self._poll_interval_s = poll_interval_s
         self._limit_s = limit_s
         self._reasons: dict[Key, str] = {}
-        self._running: dict[Key, asyncio.Future[None]] = {}
+        self._running: dict[Key, asyncio.Future[float]] = {}
         self.failures: Counter[str] = Counter()
         self.draining = False
 
@@ -93,7 +93,7 @@ class Readiness:
         if running is None:
             running = asyncio.ensure_future(asyncio.to_thread(check_itself, model.manifest, model.predictor))
         try:
-            await asyncio.wait_for(asyncio.shield(running), self._limit_s)
+            model.cost.renew(await asyncio.wait_for(asyncio.shield(running), self._limit_s))
         except TimeoutError:
             self._running[key] = running
             return f"the self-check did not end within {self._limit_s:g} s"

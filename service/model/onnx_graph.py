@@ -8,7 +8,8 @@ serving both call ``inspect_graph``, so every published model can be served.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import onnx
@@ -38,14 +39,24 @@ ITEM_BYTES: Final[Mapping[int, int]] = {
     TensorProto.BOOL: 1,
     TensorProto.UINT8: 1,
 }
+_LARGEST_ITEM: Final = max(ITEM_BYTES.values())
+_CONTEXTS: Final = "g"  # the free size of the contexts, see ``service.pushing.onnx_interface``
 MAX_NODES: Final = 10_000
 MAX_CONSTANT_ELEMENTS: Final = 1 << 22  # of one tensor in the file
 MAX_ELEMENTS_PER_ROW: Final = 1 << 20  # of one intermediate tensor, for one row and one context
 MAX_FREE_DIMENSIONS: Final = 1  # n or g, never both in one tensor
 
 
-def inspect_graph(model: bytes) -> None:
-    """Check a graph against every rule of this module.
+@dataclass(frozen=True)
+class GraphSize:
+    """Size of the intermediate tensors of a graph, in bytes: all those of one row, and all those of one context."""
+
+    row_bytes: int = 0
+    context_bytes: int = 0
+
+
+def inspect_graph(model: bytes) -> GraphSize:
+    """Check a graph against every rule of this module, and return its size.
 
     Raises:
         BrokenModelError: the bytes are not an ONNX model, or the graph breaks a rule. The message names the place.
@@ -61,7 +72,7 @@ def inspect_graph(model: bytes) -> None:
         elif isinstance(message, onnx.NodeProto):
             _check_operator(where, message)
     _check_parts(parsed)
-    _check_shapes(parsed)
+    return _check_shapes(parsed)
 
 
 def _broken(where: str, reason: str) -> BrokenModelError:
@@ -142,8 +153,8 @@ def _check_parts(model: onnx.ModelProto) -> None:
             raise _broken("model", f"{parts} are not accepted")
 
 
-def _check_shapes(model: onnx.ModelProto) -> None:
-    """Check that every intermediate tensor has a bounded shape that is known before the graph runs."""
+def _check_shapes(model: onnx.ModelProto) -> GraphSize:
+    """Check that every intermediate tensor has a bounded shape that is known before the graph runs. Return the sums."""
     del model.graph.value_info[:]  # shapes that the file declares are not trusted
     try:
         inferred = onnx.shape_inference.infer_shapes(model, strict_mode=True, data_prop=True)
@@ -156,6 +167,22 @@ def _check_shapes(model: onnx.ModelProto) -> None:
             _check_shape(f"model.graph.node[{place}] {node.op_type}", node.op_type, shapes.get(output))
     for value in inferred.graph.input:
         _check_shape(f"model.graph.input {value.name}", "", value.type)
+    return _size([shapes[output] for node in inferred.graph.node for output in filter(None, node.output)])
+
+
+def _size(tensors: Sequence[TypeProto]) -> GraphSize:
+    """Return the sums over tensors. A free size that is no number of contexts counts as one of rows."""
+    rows = contexts = 0
+    for kind in tensors:
+        dimensions = kind.tensor_type.shape.dim
+        fixed = math.prod(dimension.dim_value for dimension in dimensions if dimension.HasField("dim_value"))
+        size = fixed * ITEM_BYTES.get(kind.tensor_type.elem_type, _LARGEST_ITEM)
+        free = {dimension.dim_param for dimension in dimensions if not dimension.HasField("dim_value")}
+        if free == {_CONTEXTS}:
+            contexts += size
+        elif free:
+            rows += size
+    return GraphSize(rows, contexts)
 
 
 def _check_shape(where: str, operator: str, kind: TypeProto | None) -> None:

@@ -3,7 +3,8 @@
 import math
 import os
 from collections.abc import Callable, Sequence
-from typing import Final, Protocol
+from functools import cache, partial
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -12,8 +13,9 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 from service.errors import BrokenModelError, PredictionError
-from service.model.onnx_graph import inspect_graph
+from service.model.onnx_graph import GraphSize, inspect_graph
 from service.model.tensors import FloatArray, IndexArray, Tensor
+from service.turns import TURN, ending
 
 # onnxruntime computes the sines of four numbers at once, and those of the remainder with other instructions, which
 # round differently. Rows are padded to a multiple of four, so a row gets the same bits beside any other rows.
@@ -27,6 +29,11 @@ class Predictor(Protocol):
 
     The prediction of a row depends on that row and its context alone, to the bit.
     """
+
+    @property
+    def size(self) -> GraphSize:
+        """Return the memory that a call takes for each row and each context. Its caller makes calls small enough."""
+        ...
 
     def predict(
         self, rows: FloatArray, context: FloatArray | None, context_index: IndexArray | None
@@ -63,12 +70,13 @@ class OnnxPredictor:
         Raises:
             BrokenModelError: ``inspect_graph`` or onnxruntime refuses the graph, or its tensors differ.
         """
-        inspect_graph(model)
+        self.size = inspect_graph(model)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
         options.log_severity_level = 3
+        _share_memory(options)
         try:
             self._session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
         except Exception as error:  # errors of onnxruntime share no other base class
@@ -94,7 +102,7 @@ class OnnxPredictor:
                 context_index = np.concatenate((context_index, _FIRST_CONTEXT[:missing]))
         feed = dict(zip(self._inputs, (rows, context, context_index), strict=False))
         try:
-            mean, std = self._session.run(self._outputs, feed)
+            mean, std = self._run(feed)
         except Exception as error:  # see above
             raise PredictionError("the runtime could not evaluate the model") from error
         if missing:
@@ -102,6 +110,31 @@ class OnnxPredictor:
         if not _is_gaussian(mean, std):
             raise PredictionError("the model gave a mean or std that is not finite, or a std that is not positive")
         return mean, std
+
+    def _run(self, feed: dict[str, Any]) -> Any:
+        """Run the graph. In a thread whose answer becomes late the run ends at the next node of the graph."""
+        if TURN.get() is None:
+            return self._session.run(self._outputs, feed)
+        options = onnxruntime.RunOptions()
+        with ending(partial(setattr, options, "terminate", True)):
+            return self._session.run(self._outputs, feed, options)
+
+
+@cache
+def _shared_memory() -> None:
+    """Create the memory arena of this process. With one of its own, each version would keep that of its largest call.
+
+    onnxruntime has one environment per process, so this is called once.
+    """
+    place = onnxruntime.OrtMemoryInfo(
+        "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
+    )
+    onnxruntime.create_and_register_allocator(place, None)
+
+
+def _share_memory(options: onnxruntime.SessionOptions) -> None:
+    _shared_memory()
+    options.add_session_config_entry("session.use_env_allocators", "1")
 
 
 def _is_gaussian(mean: FloatArray, std: FloatArray) -> bool:

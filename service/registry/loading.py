@@ -2,7 +2,7 @@
 
 from service.model.loaded_model import LoadedModel
 from service.model.predictor import PredictorFactory
-from service.model.self_check import check_itself
+from service.model.self_check import measure_cost
 from service.registry.registry import Registry
 
 
@@ -15,5 +15,5 @@ def load_version(registry: Registry, load: PredictorFactory, name: str, version:
     verified = registry.read(name, version)
     manifest = verified.manifest
     predictor = load(verified.model, manifest.inputs, manifest.outputs)
-    check_itself(manifest, predictor)
-    return LoadedModel(manifest, verified.card, predictor)
+    cost = measure_cost(manifest, predictor)
+    return LoadedModel(manifest, verified.card, predictor, cost)

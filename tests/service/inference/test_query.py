@@ -9,11 +9,12 @@ import pytest
 from service.errors import ContextKindError
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query, predict
+from service.model.onnx_graph import GraphSize
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import Timings, collect_timings
 from service.pushing.contexts import ObjectContext
-from tests.fakes import STD, fake_models, predict_push
+from tests.fakes import SMALL, STD, fake_models, predict_push
 
 CHAMPION = ModelReference.parse("push-indicator")
 OBJECT = ObjectContext.from_descriptor("1a2b3c4a")
@@ -48,6 +49,7 @@ class TurningPredictor:
     """A predictor whose means have given angles."""
 
     angles: list[float]
+    size: GraphSize = SMALL
 
     def predict(
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None

@@ -9,10 +9,11 @@ import pytest
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
+from service.model.onnx_graph import GraphSize
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
 from service.pushing.gates import physics_gates
-from tests.fakes import draft_manifest
+from tests.fakes import SMALL, draft_manifest
 
 
 @dataclass
@@ -23,6 +24,7 @@ class Physics:
     """
 
     flaw: str = ""
+    size: GraphSize = SMALL
 
     def predict(
         self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
