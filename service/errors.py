@@ -4,7 +4,7 @@
     ├── RequestError                   400  the request cannot be answered as it was sent
     │   ├── InvalidRequestError        422  a field is missing, of the wrong shape, not finite or not allowed
     │   │   ├── ContextKindError       422  the model takes another kind of object context
-    │   │   └── InvalidImageError      422  an image is broken, truncated, animated, or has trailing data
+    │   │   └── InvalidImageError      422  an image is broken, truncated, animated, or too costly to read
     │   ├── MalformedBodyError         400  the body is not the JSON, form or tensors that it is declared to be
     │   ├── MissingKeyError            401  an API key is required, and none or an unknown one was sent
     │   ├── ForbiddenError             403  the API key lacks the scope
@@ -88,7 +88,7 @@ class InvalidRequestError(RequestError):
 
 
 class InvalidImageError(InvalidRequestError):
-    """An image is broken, truncated, animated, or has trailing data."""
+    """An image is broken, truncated, animated, or has more parts than a picture needs."""
 
     code, title = "invalid_image", "The image is not valid"
 

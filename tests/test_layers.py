@@ -101,6 +101,7 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.model.manifest": "pydantic",
         "service.model.predictor": "onnxruntime",
         "service.model.onnx_graph": "onnx google",
+        "service.pushing.image_files": "PIL",
         "service.pushing.images": "PIL",
         "service.pushing.image_quality": "PIL",
         "service.storage.bucket": "obstore",

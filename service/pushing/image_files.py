@@ -1,286 +1,270 @@
-"""Image files as containers: PNG, JPEG and WebP, walked in bounded time and stripped to their pixels before decoding.
+"""Image files: PNG, JPEG and WebP, bounded before Pillow decodes them.
 
-Only parts that make pixels are passed on. Text, colour profiles, thumbnails and all other parts never reach a decoder.
-Sizes are read from the header and bounded first. Refused are: other formats, several frames, data behind the end of the
-picture (a polyglot, or the second picture that some phones append), files that stop early, and headers that ask for
-more work than a picture needs. Orientation (EXIF tag 0x0112) is the only metadata that is read. The container does not
-show a picture that was cut and then closed properly: the decoder fills its missing rows.
-Standard library only.
+Pillow decides the meaning of a file: its size, its colours, its orientation, and the picture that viewers show of
+several. The walk through the container bounds its cost in advance: bytes, pixels, a side, the decoder's memory, parts,
+scans, bytes between parts, and compressed texts. A walk that cannot continue stops, and Pillow refuses the file.
+Files are opened by their plug-in: ``Image.open`` would also parse the index of a JPEG with several pictures, and would
+warn about sizes that are refused here.
 """
 
+import io
 import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from service.errors import ImageTooLargeError, InvalidImageError, UnsupportedImageError
+from PIL import Image, ImageFile, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+
+from service.errors import ImageTooLargeError, InvalidImageError, RequestError, UnsupportedImageError
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 JPEG_START: Final = b"\xff\xd8\xff"
 FORMATS: Final = "PNG, JPEG or WebP"
 MAX_PARTS: Final = 10_000  # chunks or segments. A picture of the largest size needs a tenth of that.
 MAX_JPEG_SCANS: Final = 32  # every scan of a progressive JPEG costs a pass over the picture. Encoders write about 10.
-_PNG_PIXELS = frozenset((b"IHDR", b"PLTE", b"tRNS", b"IDAT", b"IEND"))
-_PNG_MISSED_COLOURS = frozenset(((2, 0), (4, 0), (16, 2)))  # depth and type whose transparent colour Pillow misses
-_PNG_ANIMATION = frozenset((b"acTL", b"fcTL", b"fdAT"))
-_WEBP_PIXELS = frozenset((b"VP8X", b"VP8 ", b"VP8L", b"ALPH"))
-_WEBP_ANIMATION = frozenset((b"ANIM", b"ANMF"))
-_WEBP_ALPHA, _WEBP_ANIMATED = 0x10, 0x02  # flags of a VP8X chunk
-_JPEG_TABLES = frozenset((0xC4, 0xDB, 0xDD))  # Huffman and quantisation tables, restart interval
-_JPEG_FRAMES = frozenset((0xC0, 0xC1, 0xC2))  # baseline, extended and progressive, Huffman coded
-_JPEG_OTHER_FRAMES = frozenset((0xC3, 0xC5, 0xC6, 0xC7, 0xC9, 0xCA, 0xCB, 0xCD, 0xCE, 0xCF))
-_JPEG_SCAN, _JPEG_END, _JPEG_EXIF, _JPEG_JFIF, _JPEG_ADOBE = 0xDA, 0xD9, 0xE1, 0xE0, 0xEE
-_JPEG_MARKER = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]", re.DOTALL)  # in coded data, other than stuffing and restart
-_PIECE_BYTES: Final = 1 << 16  # of coded data, which are searched in 20 us
-_ORIENTATION_TAG, _SHORT = 0x0112, 3
+MAX_JPEG_EXIF_PARTS: Final = 16  # Pillow joins them one by one. Cameras write one or two.
+MAX_STRAY_BYTES: Final = 1 << 16  # between the segments of a JPEG. Pillow skips them one by one.
+MAX_PNG_COMPRESSED: Final = 10  # texts and colour profiles, each of which takes Pillow up to 4 MiB
+MAX_METADATA_BYTES: Final = 1 << 20  # EXIF or XMP, which are searched for the orientation
+_PIECE_BYTES: Final = 1 << 16  # of a JPEG, which are searched in 20 us, because a search holds Python's lock
+_PNG_MISSED_COLOURS = frozenset((b"\2\0", b"\4\0", b"\20\2"))  # bits and type whose transparent colour Pillow misses
+_PNG_PIXEL_BYTES, _WEBP_PIXEL_BYTES = 4, 16  # WebP: two canvases of an animation, the frame, and Pillow's picture
+_JPEG_SCAN, _JPEG_END, _JPEG_EXIF = 0xDA, 0xD9, 0xE1
+_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_PROGRESSIVE = frozenset((0xC2, 0xC6, 0xCA, 0xCE))
+_JPEG_LENGTHS = frozenset((*range(0xC0, 0xD0), *range(0xDA, 0xF0), 0xFE)) - {0xC8}  # markers with a length behind them
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]", re.DOTALL)  # other than stuffing, fill bytes and restarts
+_SEARCHED = ("exif", "Raw profile type exif", "xmp", "XML:com.adobe.xmp")  # metadata in which Pillow seeks orientation
 
 
 @dataclass(frozen=True)
 class ImageLimits:
     """Limits of an image. They are checked before any pixel is decoded.
 
-    Decoding takes up to 12 bytes of memory per pixel for PNG and JPEG, 21 for WebP: 260 MB at these limits.
+    Attributes:
+        max_bytes: bytes of the file.
+        max_pixels: pixels of the picture.
+        max_side: pixels of its longer side.
+        max_decoder_bytes: memory of the decoder. A progressive JPEG takes up to 12 bytes per pixel, a WebP 16.
     """
 
     max_bytes: int = 8 << 20
     max_pixels: int = 4096 * 3072  # a 12-megapixel camera
     max_side: int = 8192
+    max_decoder_bytes: int = 120 << 20
 
 
 @dataclass(frozen=True)
-class ImageFile:
-    """Image file reduced to the parts that make its pixels."""
+class _Header:
+    """Size of a picture as its file declares it, and the memory that its decoder takes."""
 
-    format: str  # Pillow's name
     width: int
     height: int
-    orientation: int  # EXIF, 1..8. 1 is as stored.
-    content: bytes
+    pixel_bytes: float = 0.0
 
 
-def read_image_file(content: bytes, limits: ImageLimits, where: str) -> ImageFile:
-    """Read a file of any of the three formats without decoding it.
+def count_pixels(content: bytes) -> int:
+    """Return the number of pixels that the header of a file declares, for an estimate of its cost. Without one, 0."""
+    try:
+        header = _kind(content, "image").size(content)
+    except (RequestError, struct.error):
+        return 0
+    return header.width * header.height
+
+
+def open_image_file(content: bytes, limits: ImageLimits, where: str) -> Image.Image:
+    """Open a file of any of the three formats without decoding it. ``load`` decodes it.
 
     Raises:
-        ImageTooLargeError: bytes, pixels or a side are over the limits.
-        UnsupportedImageError: the file has another format, or a rare variety of these.
-        InvalidImageError: the file is broken, truncated or animated, or has more than one picture.
+        ImageTooLargeError: bytes, pixels, a side or the decoder's memory are over the limits.
+        UnsupportedImageError: the file has another format.
+        InvalidImageError: the file is broken or animated, or has more parts than a picture needs.
     """
     if len(content) > limits.max_bytes:
         raise ImageTooLargeError(where, f"{len(content)} bytes", f"up to {limits.max_bytes} bytes")
+    kind = _kind(content, where)
     try:
-        file = _walker(content, where)(content, where)
-    except (struct.error, IndexError) as error:
-        raise _truncated(where) from error
-    if file.width < 1 or file.height < 1:
-        raise InvalidImageError.at(where, f"a picture of {file.width} x {file.height} pixels", "at least 1 x 1 pixel")
-    if max(file.width, file.height) > limits.max_side or file.width * file.height > limits.max_pixels:
-        accepted = f"up to {limits.max_pixels} pixels and {limits.max_side} on a side"
-        raise ImageTooLargeError(where, f"{file.width} x {file.height} pixels", accepted)
-    return file
+        header = kind.walk(content, where)
+    except struct.error as error:  # the file ends before its size
+        raise _broken(kind.name, where) from error
+    _check_size(header, kind.name, limits, where)
+    try:
+        image = kind.opened(io.BytesIO(content))
+    except (MemoryError, RequestError):
+        raise
+    except Exception as error:  # Pillow's plug-ins raise errors of any class, so no list of them is complete
+        raise _broken(kind.name, where) from error
+    if image.size != (header.width, header.height):
+        raise InvalidImageError.at(where, "a picture of another size than its header says", "a whole picture")
+    if getattr(image, "is_animated", False):
+        raise InvalidImageError.at(where, "an animation", "a still picture")
+    return image
 
 
-def exif_orientation(block: bytes) -> int:
-    """Return the orientation in an EXIF block, 1..8. A block without one, or an unreadable block, gives 1 (as stored).
+def check_metadata(image: Image.Image, where: str) -> None:
+    """Accept a loaded picture whose metadata can be searched for its orientation in bounded time.
 
-    Only this tag is read: a general parser copies the data that the other tags point to.
+    Raises:
+        InvalidImageError: there is more of it.
     """
-    block = block.removeprefix(b"Exif\0\0")
-    order = {b"II*\0": "<", b"MM\0*": ">"}.get(block[:4])
-    if order is None:
-        return 1
-    try:
-        (start,) = struct.unpack_from(order + "I", block, 4)
-        (count,) = struct.unpack_from(order + "H", block, start)
-        for at in range(start + 2, start + 2 + 12 * count, 12):
-            tag, kind, _, value = struct.unpack_from(order + "HHIH", block, at)
-            if tag == _ORIENTATION_TAG:
-                return value if kind == _SHORT and 1 <= value <= 8 else 1
-    except struct.error:
-        return 1
-    return 1
+    longest = max(len(image.info.get(name) or "") for name in _SEARCHED)
+    if longest > MAX_METADATA_BYTES:
+        accepted = f"up to {MAX_METADATA_BYTES} bytes: save it again without metadata"
+        raise InvalidImageError.at(where, f"EXIF or XMP of {longest} bytes", accepted)
 
 
-def _walker(content: bytes, where: str) -> Callable[[bytes, str], ImageFile]:
+@dataclass(frozen=True)
+class _Kind:
+    """Format of image files: the reader of its size, the walk that bounds it, and Pillow's plug-in."""
+
+    name: str
+    size: Callable[[bytes], _Header]
+    walk: Callable[[bytes, str], _Header]
+    opened: Callable[[io.BytesIO], ImageFile.ImageFile]
+
+
+def _kind(content: bytes, where: str) -> _Kind:
     if content.startswith(PNG_START):
-        return _walk_png
+        return _Kind("PNG", _png_size, _walk_png, PngImagePlugin.PngImageFile)
     if content.startswith(JPEG_START):
-        return _walk_jpeg
+        return _Kind("JPEG", _jpeg_size, _walk_jpeg, JpegImagePlugin.JpegImageFile)
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
-        return _walk_webp
+        return _Kind("WebP", _webp_size, _walk_webp, WebPImagePlugin.WebPImageFile)
     received = f"{len(content)} bytes of another format" if content else "an empty file"
     raise UnsupportedImageError(f"{where}: received {received}; accepted is {FORMATS}")
 
 
-def _walk_png(content: bytes, where: str) -> ImageFile:
-    """Walk chunks of length, name, data and checksum (PNG 3rd edition, section 5). The decoder verifies checksums."""
-    width, height, depth, colour = struct.unpack_from(">IIBB", content, 16)
-    kept, orientation, at = [PNG_START], 1, len(PNG_START)
+def _check_size(header: _Header, name: str, limits: ImageLimits, where: str) -> None:
+    width, height = header.width, header.height
+    if width < 1 or height < 1:
+        raise InvalidImageError.at(where, f"a picture of {width} x {height} pixels", "at least 1 x 1 pixel")
+    if max(width, height) > limits.max_side or width * height > limits.max_pixels:
+        accepted = f"up to {limits.max_pixels} pixels and {limits.max_side} on a side"
+        raise ImageTooLargeError(where, f"{width} x {height} pixels", accepted)
+    if width * height * header.pixel_bytes > limits.max_decoder_bytes:
+        accepted = f"up to {limits.max_decoder_bytes / header.pixel_bytes:.0f} pixels in a {name} of this kind"
+        raise ImageTooLargeError(where, f"{width} x {height} pixels", accepted)
+
+
+def _walk_png(content: bytes, where: str) -> _Header:
+    """Count the chunks of length, name, data and checksum (PNG 3rd edition, section 5)."""
+    if content[12:16] != b"IHDR":
+        raise InvalidImageError.at(where, "a PNG whose header is not its first chunk", "a whole PNG")
+    at, compressed = len(PNG_START), 0
     for _ in range(MAX_PARTS):
+        if at + 8 > len(content) or content[at + 4 : at + 8] == b"IEND":
+            return _png_size(content)
         length, name = struct.unpack_from(">I4s", content, at)
         end = at + 12 + length
-        if end > len(content):
-            raise _truncated(where)
-        if (at == len(PNG_START)) != (name == b"IHDR"):
-            raise InvalidImageError.at(where, "a PNG whose header is not its first chunk", "a whole PNG")
-        if name in _PNG_ANIMATION:
-            raise _animated(where)
-        if name == b"tRNS" and (depth, colour) in _PNG_MISSED_COLOURS:
-            received = f"a PNG of {depth} bits with a transparent colour"
+        compressed += _is_compressed(name, content[at + 8 : end - 4])
+        if compressed > MAX_PNG_COMPRESSED:
+            received = f"a PNG of more than {MAX_PNG_COMPRESSED} compressed texts or profiles"
+            raise InvalidImageError.at(where, received, "fewer: save it again without metadata")
+        if name == b"tRNS" and content[24:26] in _PNG_MISSED_COLOURS:
+            received = f"a PNG of {content[24]} bits with a transparent colour"
             raise UnsupportedImageError(f"{where}: received {received}; accepted is an alpha channel, or 8 bits")
-        if name in _PNG_PIXELS:
-            kept.append(content[at:end])
-        elif name == b"eXIf":
-            orientation = exif_orientation(content[at + 8 : end - 4])
-        elif name[:1].isupper():
-            raise UnsupportedImageError(f"{where}: received a PNG with private parts; accepted is {FORMATS}")
         at = end
-        if name == b"IEND":
-            _check_end(content, at, where)
-            return ImageFile("PNG", width, height, orientation, b"".join(kept))
     raise _endless(where)
 
 
-def _walk_jpeg(content: bytes, where: str) -> ImageFile:
-    """Walk segments of marker and length, with coded data behind each start of scan (ITU-T T.81, annex B)."""
-    size: tuple[int, int] | None = None
-    kept, orientation, scans, at = [content[:2]], 1, 0, 2
-    for _ in range(MAX_PARTS):
-        marker, end = _jpeg_segment(content, at, where)
-        segment = content[at:end]
-        if marker == _JPEG_END:
-            if size is None or not scans:
-                raise _truncated(where)
-            _check_end(content, end, where)
-            return ImageFile("JPEG", *size, orientation, b"".join([*kept, segment]))
-        if marker in _JPEG_OTHER_FRAMES:
-            raise UnsupportedImageError(f"{where}: received a rare kind of JPEG; accepted is baseline or progressive")
+def _is_compressed(name: bytes, data: bytes) -> bool:
+    """Return whether a chunk is a compressed text or profile. An international text has a flag behind its keyword."""
+    return name in (b"zTXt", b"iCCP") or (name == b"iTXt" and data.partition(b"\0")[2][:1] != b"\0")
+
+
+def _png_size(content: bytes) -> _Header:
+    width, height = struct.unpack_from(">II", content, 16)
+    return _Header(width, height, _PNG_PIXEL_BYTES)
+
+
+def _walk_jpeg(content: bytes, where: str) -> _Header:
+    """Count scans and parts, and estimate the memory of libjpeg: with several scans it keeps all coefficients."""
+    frame, progressive, scans, exif_parts = b"", False, 0, 0
+    for marker, segment in _jpeg_segments(content, where):
         if marker in _JPEG_FRAMES:
-            if size is not None:
-                raise InvalidImageError.at(where, "a JPEG with two frames", "one picture")
-            height, width = struct.unpack_from(">HH", segment, 5)
-            size = width, height
-            kept.append(segment)
-        elif marker == _JPEG_SCAN:
-            scans += 1
-            if scans > MAX_JPEG_SCANS:
-                raise InvalidImageError.at(
-                    where, f"a JPEG of more than {MAX_JPEG_SCANS} scans", "fewer scans: save it again"
-                )
-            coded = _coded_data(content, end, where)
-            kept += [segment, *coded]
-            end += sum(map(len, coded))
-        elif marker in _JPEG_TABLES or _declares_colours(marker, segment):
-            kept.append(segment)
-        elif marker == _JPEG_EXIF and segment[4:10] == b"Exif\0\0":
-            orientation = exif_orientation(segment[4:])
-        elif not (0xE0 <= marker <= 0xEF or marker == 0xFE):  # application data and comments are left out
-            raise InvalidImageError.at(where, f"a JPEG with a marker {marker:02X} in the wrong place", "a whole JPEG")
-        at = end
+            frame, progressive = frame or segment, progressive or marker in _JPEG_PROGRESSIVE
+        scans += marker == _JPEG_SCAN
+        exif_parts += marker == _JPEG_EXIF and segment.startswith(b"Exif\0\0")
+        if scans > MAX_JPEG_SCANS:
+            received, accepted = f"a JPEG of more than {MAX_JPEG_SCANS} scans", "fewer scans: save it again"
+            raise InvalidImageError.at(where, received, accepted)
+        if exif_parts > MAX_JPEG_EXIF_PARTS:
+            received = f"a JPEG of more than {MAX_JPEG_EXIF_PARTS} parts of EXIF"
+            raise InvalidImageError.at(where, received, "fewer: save it again without metadata")
+    height, width = struct.unpack_from(">HH", frame, 1)
+    factors = [(part >> 4) * (part & 15) for part in frame[7::3]]  # of sampling, for each channel
+    kept = 2 * sum(factors) / max([1, *factors]) if progressive or scans > 1 else 0.0
+    return _Header(width, height, (4 if len(factors) > 1 else 1) + kept)
+
+
+def _jpeg_segments(content: bytes, where: str) -> Iterator[tuple[int, bytes]]:
+    """Yield marker and data of every segment up to the end of the picture, as libjpeg finds them (T.81, annex B).
+
+    Bytes that belong to no segment are skipped, and so is the coded data behind the start of a scan.
+
+    Raises:
+        InvalidImageError: there are too many segments, or bytes between them.
+    """
+    at, stray, in_scan = 2, 0, False
+    for _ in range(MAX_PARTS):
+        found = _next_marker(content, at)
+        stray += 0 if in_scan else found - at
+        if stray > MAX_STRAY_BYTES:
+            received = f"a JPEG with {stray} bytes between its parts"
+            raise InvalidImageError.at(where, received, f"up to {MAX_STRAY_BYTES}: save it again")
+        if found + 4 > len(content) or content[found + 1] == _JPEG_END:
+            return
+        marker, at = content[found + 1], found + 2
+        if marker in _JPEG_LENGTHS:
+            (length,) = struct.unpack_from(">H", content, at)
+            yield marker, content[at + 2 : at + length]
+            at += length
+        in_scan |= marker == _JPEG_SCAN
     raise _endless(where)
 
 
-def _jpeg_segment(content: bytes, at: int, where: str) -> tuple[int, int]:
-    """Return the marker of the segment at this place, and the end of the segment."""
-    if content[at] != 0xFF:
-        raise InvalidImageError.at(where, "a JPEG with bytes between its segments", "a whole JPEG")
-    marker = content[at + 1]
-    if marker == _JPEG_END:
-        return marker, at + 2
-    (length,) = struct.unpack_from(">H", content, at + 2)
-    end = at + 2 + length
-    if length < 2 or end > len(content):
-        raise _truncated(where)
-    return marker, end
-
-
-def _coded_data(content: bytes, at: int, where: str) -> list[bytes]:
-    """Return the bytes up to the next marker, in pieces, because a search holds Python's lock until it ends."""
-    pieces: list[bytes] = []
+def _next_marker(content: bytes, at: int) -> int:
+    """Return the place of the next marker, or the end of the file."""
     for start in range(at, len(content), _PIECE_BYTES):
-        end = start + _PIECE_BYTES
-        found = _JPEG_MARKER.search(content, start, end + 1)  # a marker of two bytes may lie across the end
+        found = _JPEG_MARKER.search(content, start, start + _PIECE_BYTES + 1)  # a marker may lie across the end
         if found is not None:
-            return [*pieces, content[start : found.start()]]
-        pieces.append(content[start:end])
-    raise _truncated(where)
+            return found.start()
+    return len(content)
 
 
-def _declares_colours(marker: int, segment: bytes) -> bool:
-    """Return whether an application segment declares the coding of colours, which the decoder needs."""
-    return (marker == _JPEG_JFIF and segment[4:9] == b"JFIF\0") or (marker == _JPEG_ADOBE and segment[4:9] == b"Adobe")
+def _jpeg_size(content: bytes) -> _Header:
+    """Return the size in the first frame. Several frames in one file are refused by libjpeg."""
+    frame = next((segment for marker, segment in _jpeg_segments(content, "image") if marker in _JPEG_FRAMES), b"")
+    height, width = struct.unpack_from(">HH", frame, 1)
+    return _Header(width, height)
 
 
-def _walk_webp(content: bytes, where: str) -> ImageFile:
-    """Walk RIFF chunks of name, length and data, padded to even length (RFC 9649, section 2)."""
-    (riff_length,) = struct.unpack_from("<I", content, 4)
-    if len(content) < 8 + riff_length:
-        raise _truncated(where)
-    _check_end(content, 8 + riff_length + riff_length % 2, where)
-    size: tuple[int, int] | None = None
-    canvas: tuple[int, int] | None = None
-    kept, orientation = [b""], 1
-    for name, data in _webp_chunks(content, where):
-        if name in _WEBP_ANIMATION or (name == b"VP8X" and data[0] & _WEBP_ANIMATED):
-            raise _animated(where)
-        if name == b"VP8X":
-            canvas = 1 + int.from_bytes(data[4:7], "little"), 1 + int.from_bytes(data[7:10], "little")
-            data = bytes([data[0] & _WEBP_ALPHA]) + data[1:]
-        elif name in (b"VP8 ", b"VP8L"):
-            if size is not None:
-                raise InvalidImageError.at(where, "a WebP with two frames", "one picture")
-            size = _vp8_size(data) if name == b"VP8 " else _vp8l_size(data)
-        elif name == b"EXIF":
-            orientation = exif_orientation(data)
-        if name in _WEBP_PIXELS:
-            kept.append(struct.pack("<4sI", name, len(data)) + data + b"\0" * (len(data) % 2))
-    if size is None:
-        raise _truncated(where)
-    if canvas not in (None, size):
-        raise InvalidImageError.at(where, "a WebP whose canvas is not the size of its picture", "a whole WebP")
-    body = b"WEBP" + b"".join(kept)
-    return ImageFile("WEBP", *size, orientation, b"RIFF" + struct.pack("<I", len(body)) + body)
-
-
-def _webp_chunks(content: bytes, where: str) -> Iterator[tuple[bytes, bytes]]:
+def _walk_webp(content: bytes, where: str) -> _Header:
+    """Count the RIFF chunks of name, length and data, padded to even length (RFC 9649, section 2)."""
     at = 12
     for _ in range(MAX_PARTS):
-        if at >= len(content):
-            return
-        name, length = struct.unpack_from("<4sI", content, at)
-        end = at + 8 + length
-        if end > len(content):
-            raise _truncated(where)
-        yield name, content[at + 8 : end]
-        at = end + length % 2
+        if at + 8 > len(content):
+            return _webp_size(content)
+        (length,) = struct.unpack_from("<I", content, at + 4)
+        at += 8 + length + length % 2
     raise _endless(where)
 
 
-def _vp8_size(data: bytes) -> tuple[int, int]:
-    """Return width and height of a lossy key frame (RFC 6386, section 9.1)."""
-    width, height = struct.unpack_from("<HH", data, 6)
-    return width & 0x3FFF, height & 0x3FFF
+def _webp_size(content: bytes) -> _Header:
+    """Return the size in the first chunk: the canvas, or the frame of a simple file (RFC 9649 and 6386)."""
+    if content[12:16] == b"VP8X":
+        width, height = (1 + int.from_bytes(side, "little") for side in struct.unpack_from("3s3s", content, 24))
+    elif content[12:16] == b"VP8L":
+        (bits,) = struct.unpack_from("<I", content, 21)
+        width, height = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+    else:
+        width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", content, 26))
+    return _Header(width, height, _WEBP_PIXEL_BYTES)
 
 
-def _vp8l_size(data: bytes) -> tuple[int, int]:
-    """Return width and height of a lossless frame (RFC 9649, section 3.4)."""
-    (bits,) = struct.unpack_from("<I", data, 1)
-    return (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
-
-
-def _check_end(content: bytes, end: int, where: str) -> None:
-    if end != len(content):
-        received = f"{len(content) - end} bytes behind the end of the picture"
-        raise InvalidImageError.at(where, received, "one picture without trailing data: save it again as a plain PNG")
-
-
-def _truncated(where: str) -> InvalidImageError:
-    return InvalidImageError.at(where, "a file that stops before the picture does", f"a whole {FORMATS}")
-
-
-def _animated(where: str) -> InvalidImageError:
-    return InvalidImageError.at(where, "an animation", "a still picture")
+def _broken(name: str, where: str) -> InvalidImageError:
+    return InvalidImageError.at(where, f"a {name} file that stops early or is broken", f"a whole {FORMATS}")
 
 
 def _endless(where: str) -> InvalidImageError:

@@ -9,10 +9,10 @@ Pixels become one grey level in [0, 1] by these rules:
 - alpha, or a colour declared transparent: composited onto the background level, black.
 - 16 bits: grey keeps them all. With colour or alpha the upper 8 are read.
 - 1, 2 and 4 bits: spread over [0, 1].
-- EXIF orientation is applied, in all three formats. Gamma and colour profiles are ignored.
+- orientation in EXIF, XMP or ImageMagick's text is applied as ``ImageOps.exif_transpose`` does, in all three formats.
+- gamma and colour profiles are ignored.
 """
 
-import io
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,11 +20,11 @@ from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image
+from PIL import ExifTags, Image
 
 from service.errors import InvalidImageError, RequestError
 from service.pushing.contexts import VISUAL_SIZE, VisualContext
-from service.pushing.image_files import ImageLimits, read_image_file
+from service.pushing.image_files import ImageLimits, check_metadata, open_image_file
 
 FIELD_OF_VIEW_M: Final = 0.160  # across the square. Every Omnipush object fits with 10 mm to spare.
 BACKGROUND_LEVEL: Final = 0.0
@@ -40,6 +40,7 @@ IMAGE_CONVENTION: Final = (
     "interpolation, mirrored at the border) and rounded to 8 bits, halves up."
 )
 _WEIGHT_BITS: Final = 18  # with 16 bits of level and twice 18 of weight, every sum is an integer below 2**53: exact
+_BAND_PIXELS: Final = 1 << 18  # turned to grey at a time
 _GAUSSIAN_REACH: Final = 4.0  # standard deviations, as in scipy's filter
 
 Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
@@ -82,24 +83,20 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
     """Decode an untrusted PNG, JPEG or WebP file. Blocking, so call it in a thread.
 
     Raises:
-        ImageTooLargeError: bytes, pixels or a side are over the limits.
+        ImageTooLargeError: bytes, pixels, a side or the decoder's memory are over the limits.
         UnsupportedImageError: the file has another format.
-        InvalidImageError: the picture is broken, truncated or animated, or there is more than one.
+        InvalidImageError: the picture is broken, truncated or animated, or costs more than a picture needs.
     """
-    file = read_image_file(content, limits, where)
-    try:
-        with Image.open(io.BytesIO(file.content), formats=(file.format,)) as image:
-            if image.size != (file.width, file.height):
-                raise InvalidImageError.at(where, "a picture of another size than its header says", "a whole picture")
+    with open_image_file(content, limits, where) as image:
+        try:
             image.load()
-            levels = _levels(image)
-    except (RequestError, MemoryError):
-        raise
-    except Exception as error:  # Pillow's decoders raise errors of any class, so no list of them is complete
-        raise InvalidImageError.at(
-            where, f"a {file.format} file whose pixels cannot be decoded", "a whole picture"
-        ) from error
-    return GreyImage(_upright(levels, file.orientation))
+            check_metadata(image, where)
+            return GreyImage(_upright(_levels(image), _orientation(image)))
+        except (RequestError, MemoryError):
+            raise
+        except Exception as error:  # Pillow's decoders raise errors of any class, so no list of them is complete
+            received = f"a {image.format} file whose pixels cannot be decoded"
+            raise InvalidImageError.at(where, received, "a whole picture") from error
 
 
 def visual_context(image: GreyImage) -> VisualContext:
@@ -115,7 +112,18 @@ def visual_context(image: GreyImage) -> VisualContext:
 
 
 def _levels(image: Image.Image) -> Levels:
-    """Return one grey channel of a decoded picture, by the rules at the top of this module."""
+    """Return one grey channel of a decoded picture, in bands of rows, so that copies of it take little memory."""
+    width, height = image.size
+    rows = max(1, _BAND_PIXELS // width)
+    levels = np.empty((height, width), dtype=np.uint16 if image.mode.startswith("I;16") else np.uint8)
+    for top in range(0, height, rows):
+        bottom = min(height, top + rows)
+        levels[top:bottom] = _band_levels(image.crop((0, top, width, bottom)))
+    return levels
+
+
+def _band_levels(image: Image.Image) -> Levels:
+    """Return one grey channel of some rows, by the rules at the top of this module."""
     if image.mode.startswith("I;16"):
         levels = np.array(image).astype(np.uint16)
         levels[levels == image.info.get("transparency", -1)] = 0
@@ -125,16 +133,20 @@ def _levels(image: Image.Image) -> Levels:
         grey = Image.new("L", image.size, round(BACKGROUND_LEVEL * 255))
         grey.paste(image.convert("L"), mask=image.getchannel("A"))
         return np.asarray(grey)
-    if image.mode not in (
-        "1",
-        "L",
-        "RGB",
-    ):  # copying an RGB picture takes longer than its luma, and frees under the GIL
+    if image.mode not in ("1", "L", "RGB"):
         image = image.convert("RGB")
-    return np.asarray(image if image.mode == "L" else image.convert("L"))
+    return np.asarray(image.convert("L"))
 
 
-def _upright(levels: Levels, orientation: int) -> Levels:
+def _orientation(image: Image.Image) -> object:
+    """Return the orientation that Pillow finds in EXIF, XMP or text. Metadata that it cannot read has none."""
+    try:
+        return image.getexif().get(ExifTags.Base.Orientation, 1)
+    except Exception:  # the parser of TIFF raises errors of any class
+        return 1
+
+
+def _upright(levels: Levels, orientation: object) -> Levels:
     """Undo the EXIF orientation (EXIF 3.0, tag 0x0112), so that row 0 and column 0 are those of the scene."""
     if orientation in (5, 6, 7, 8):
         levels = levels.T
