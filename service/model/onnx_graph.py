@@ -3,12 +3,16 @@
 onnxruntime opens files that a tensor names, even when the model comes as bytes, and evaluates constants while it loads.
 So a model is first parsed with the ONNX library and walked as a tree of messages. The walk finds a tensor in any field
 (initialisers, sparse ones, attributes, sub-graphs, functions, fields that a later format adds). Operators and types
-that are not listed here are refused. Shapes are then inferred without evaluating the graph, and bounded. Training and
-serving both call ``inspect_graph``, so every published model can be served.
+that are not listed here are refused. Shapes are then inferred without evaluating the graph, once for each of a few
+numbers of rows and contexts. The differences tell how a tensor grows, so its size is bounded for any number, and so is
+the sum of all.
+
+Parsing and inference may take any time and memory for a hostile file, so they run in a process of their own, which
+``service.model.trial`` starts and limits.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +22,7 @@ from google.protobuf.unknown_fields import UnknownFieldSet
 from onnx import TensorProto, TypeProto, ValueInfoProto
 
 from service.errors import BrokenModelError
+from service.model.tensors import GraphSize
 
 # Arithmetic on tensors whose shapes follow from the shapes of their inputs. Left out on purpose: control flow,
 # sub-graphs, random numbers, strings, sequences, image decoding, and operators that turn a value into a size
@@ -39,20 +44,14 @@ ITEM_BYTES: Final[Mapping[int, int]] = {
     TensorProto.BOOL: 1,
     TensorProto.UINT8: 1,
 }
-_LARGEST_ITEM: Final = max(ITEM_BYTES.values())
-_CONTEXTS: Final = "g"  # the free size of the contexts, see ``service.pushing.onnx_interface``
 MAX_NODES: Final = 10_000
 MAX_CONSTANT_ELEMENTS: Final = 1 << 22  # of one tensor in the file
 MAX_ELEMENTS_PER_ROW: Final = 1 << 20  # of one intermediate tensor, for one row and one context
-MAX_FREE_DIMENSIONS: Final = 1  # n or g, never both in one tensor
-
-
-@dataclass(frozen=True)
-class GraphSize:
-    """Size of the intermediate tensors of a graph, in bytes: all those of one row, and all those of one context."""
-
-    row_bytes: int = 0
-    context_bytes: int = 0
+MAX_BYTES_PER_ROW: Final = 16 << 20  # of all intermediate tensors, for one row and one context
+MAX_FIXED_BYTES: Final = 16 << 20  # of all computed constants, beside twice the size of the file
+MAX_MESSAGES: Final = 200_000  # of all kinds: nodes, attributes, tensors, declared types
+MAX_FREE_SIZES: Final = 2  # numbers of rows and of contexts
+_COUNTS: Final = (64, 48)  # of rows and contexts, for which shapes are inferred. Then each is doubled
 
 
 def inspect_graph(model: bytes) -> GraphSize:
@@ -65,14 +64,16 @@ def inspect_graph(model: bytes) -> GraphSize:
         parsed = onnx.ModelProto.FromString(model)
     except DecodeError as error:
         raise BrokenModelError("model.onnx: not an ONNX model") from error
-    for where, message in _walk(parsed, "model"):
+    for count, (where, message) in enumerate(_walk(parsed, "model")):
+        if count == MAX_MESSAGES:
+            raise _broken("model", f"more than {MAX_MESSAGES} parts")
         if isinstance(message, TensorProto):
             _check_tensor(where, message)
             _clear_values(message)
         elif isinstance(message, onnx.NodeProto):
             _check_operator(where, message)
     _check_parts(parsed)
-    return _check_shapes(parsed)
+    return _check_sizes(parsed, MAX_FIXED_BYTES + 2 * len(model))
 
 
 def _broken(where: str, reason: str) -> BrokenModelError:
@@ -153,47 +154,99 @@ def _check_parts(model: onnx.ModelProto) -> None:
             raise _broken("model", f"{parts} are not accepted")
 
 
-def _check_shapes(model: onnx.ModelProto) -> GraphSize:
-    """Check that every intermediate tensor has a bounded shape that is known before the graph runs. Return the sums."""
+def _check_sizes(model: onnx.ModelProto, fixed_limit: int) -> GraphSize:
+    """Check that every intermediate tensor has a bounded shape that is known before the graph runs, and the sums."""
     del model.graph.value_info[:]  # shapes that the file declares are not trusted
-    try:
-        inferred = onnx.shape_inference.infer_shapes(model, strict_mode=True, data_prop=True)
-    except Exception as error:  # the errors of the library and of its C++ part share no other base class
-        raise _broken("model.graph", "its shapes do not fit together") from error
-    shapes = {value.name: value.type for value in inferred.graph.value_info}
-    shapes |= {value.name: value.type for value in (*inferred.graph.input, *inferred.graph.output)}
-    for place, node in enumerate(inferred.graph.node):
+    for value in model.graph.output:
+        value.type.tensor_type.ClearField("shape")
+    free = _free_sizes(model)
+    counts = dict(zip(free, _COUNTS, strict=False))
+    cases = [counts, *({**counts, name: 2 * counts[name]} for name in free)]
+    inferred = [_infer_shapes(model, case) for case in cases]
+    fixed_bytes, free_bytes = 0, dict.fromkeys(free, 0)
+    for place, node in enumerate(model.graph.node):
+        where = f"model.graph.node[{place}] {node.op_type}"
         for output in filter(None, node.output):
-            _check_shape(f"model.graph.node[{place}] {node.op_type}", node.op_type, shapes.get(output))
-    for value in inferred.graph.input:
-        _check_shape(f"model.graph.input {value.name}", "", value.type)
-    return _size([shapes[output] for node in inferred.graph.node for output in filter(None, node.output)])
-
-
-def _size(tensors: Sequence[TypeProto]) -> GraphSize:
-    """Return the sums over tensors. A free size that is no number of contexts counts as one of rows."""
-    rows = contexts = 0
-    for kind in tensors:
-        dimensions = kind.tensor_type.shape.dim
-        fixed = math.prod(dimension.dim_value for dimension in dimensions if dimension.HasField("dim_value"))
-        size = fixed * ITEM_BYTES.get(kind.tensor_type.elem_type, _LARGEST_ITEM)
-        free = {dimension.dim_param for dimension in dimensions if not dimension.HasField("dim_value")}
-        if free == {_CONTEXTS}:
-            contexts += size
-        elif free:
-            rows += size
+            kinds = [shapes.get(output) for shapes in inferred]
+            size = _Growth.of(where, kinds, counts)
+            fixed_bytes += size.fixed * _item_bytes(kinds[0])
+            for name in free:
+                free_bytes[name] += size.each[name] * _item_bytes(kinds[0])
+    if sum(free_bytes.values()) > MAX_BYTES_PER_ROW:
+        total = sum(free_bytes.values())
+        raise _broken("model.graph", f"{total:.3g} bytes of tensors per row, more than {MAX_BYTES_PER_ROW}")
+    if fixed_bytes > fixed_limit:
+        raise _broken("model.graph", f"{fixed_bytes:.3g} bytes of computed constants, more than {fixed_limit}")
+    rows, contexts, *_ = (*free_bytes.values(), 0, 0)
     return GraphSize(rows, contexts)
 
 
-def _check_shape(where: str, operator: str, kind: TypeProto | None) -> None:
+def _free_sizes(model: onnx.ModelProto) -> list[str]:
+    """Return the names of the free sizes of the inputs in order: that of rows, then that of contexts."""
+    found: dict[str, None] = {}
+    for value in model.graph.input:
+        if not value.type.tensor_type.HasField("shape"):
+            raise _broken(f"model.graph.input {value.name}", "its shape is unknown before it runs")
+        for dimension in value.type.tensor_type.shape.dim:
+            if not dimension.HasField("dim_value"):
+                found[dimension.dim_param] = None
+    if len(found) > MAX_FREE_SIZES or "" in found:
+        raise _broken("model.graph.input", f"free sizes have at most {MAX_FREE_SIZES} names, and none is without one")
+    return list(found)
+
+
+def _infer_shapes(model: onnx.ModelProto, counts: Mapping[str, int]) -> dict[str, TypeProto]:
+    """Return the type of every tensor for these numbers of rows and contexts."""
+    sized = onnx.ModelProto()
+    sized.CopyFrom(model)
+    for value in sized.graph.input:
+        for dimension in value.type.tensor_type.shape.dim:
+            if dimension.dim_param:
+                dimension.dim_value = counts[dimension.dim_param]
+    try:
+        inferred = onnx.shape_inference.infer_shapes(sized, strict_mode=True, data_prop=True)
+    except MemoryError:
+        raise
+    except Exception as error:  # the errors of the library and of its C++ part share no other base class
+        raise _broken("model.graph", "its shapes do not fit together") from error
+    return {value.name: value.type for value in (*inferred.graph.value_info, *inferred.graph.output)}
+
+
+@dataclass(frozen=True)
+class _Growth:
+    """Elements of a tensor: those that are always there, and those of each row or context."""
+
+    fixed: int
+    each: Mapping[str, int]
+
+    @classmethod
+    def of(cls, where: str, kinds: list[TypeProto | None], counts: Mapping[str, int]) -> "_Growth":
+        """Compare the sizes of a tensor for some counts, and for each count doubled in turn.
+
+        Raises:
+            BrokenModelError: a size is unknown, too large, or grows in another way than with one count.
+        """
+        least, *doubled = (_elements(where, kind) for kind in kinds)
+        each = {name: (more - least) // counts[name] for name, more in zip(counts, doubled, strict=True)}
+        fixed = least - sum(counts[name] * share for name, share in each.items())
+        if sum(share != 0 for share in each.values()) > 1:
+            raise _broken(where, "2 free sizes in one tensor, more than 1")
+        if fixed < 0 or any(share < 0 for share in each.values()):
+            raise _broken(where, "its size does not grow evenly with the number of rows")
+        elements = fixed + sum(each.values())
+        if elements > MAX_ELEMENTS_PER_ROW:
+            raise _broken(where, f"{elements:.3g} elements per row, more than {MAX_ELEMENTS_PER_ROW}")
+        return cls(fixed, each)
+
+
+def _elements(where: str, kind: TypeProto | None) -> int:
     if kind is None or not kind.tensor_type.HasField("shape"):
         raise _broken(where, "its shape is unknown before it runs")
     dimensions = kind.tensor_type.shape.dim
-    free = [dimension for dimension in dimensions if not dimension.HasField("dim_value")]
-    if len(free) > MAX_FREE_DIMENSIONS:
-        raise _broken(where, f"{len(free)} free sizes in one tensor, more than {MAX_FREE_DIMENSIONS}")
-    if operator == "Expand" and any(not part.dim_param or part.dim_param.startswith("unk__") for part in free):
-        raise _broken(where, "expands to a size that is unknown before it runs")
-    elements = math.prod(dimension.dim_value for dimension in dimensions if dimension.HasField("dim_value"))
-    if elements > MAX_ELEMENTS_PER_ROW:
-        raise _broken(where, f"{elements:.3g} elements per row, more than {MAX_ELEMENTS_PER_ROW}")
+    if not all(dimension.HasField("dim_value") and dimension.dim_value >= 0 for dimension in dimensions):
+        raise _broken(where, "a size that is unknown before it runs")
+    return math.prod(dimension.dim_value for dimension in dimensions)
+
+
+def _item_bytes(kind: TypeProto | None) -> int:
+    return ITEM_BYTES.get(kind.tensor_type.elem_type if kind else 0, max(ITEM_BYTES.values()))

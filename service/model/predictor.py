@@ -13,8 +13,8 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 from service.errors import BrokenModelError, PredictionError
-from service.model.onnx_graph import GraphSize, inspect_graph
-from service.model.tensors import FloatArray, IndexArray, Tensor
+from service.model.tensors import FloatArray, GraphSize, IndexArray, Tensor
+from service.model.trial import try_out
 from service.turns import TURN, ending
 
 # onnxruntime computes the sines of four numbers at once, and those of the remainder with other instructions, which
@@ -58,19 +58,23 @@ PredictorFactory = Callable[[bytes, Sequence[Tensor], Sequence[Tensor]], Predict
 class OnnxPredictor:
     """A predictor that runs a graph in onnxruntime, on one thread: networks are small, and requests run in parallel."""
 
-    def __init__(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> None:
-        """Create a session from verified bytes.
+    def __init__(
+        self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor], tried: GraphSize | None = None
+    ) -> None:
+        """Create a session from verified bytes, once the graph has passed its trial in another process.
 
         Args:
             model: the ONNX file.
             inputs: the inputs that the graph must have, in order: rows, and for a model with context also the contexts
                 and the index of each row's context.
             outputs: the outputs that it must have, in order: mean and std.
+            tried: size of a graph that is on trial in this process. None: the graph is tried first.
 
         Raises:
-            BrokenModelError: ``inspect_graph`` or onnxruntime refuses the graph, or its tensors differ.
+            BrokenModelError: the trial or onnxruntime refuses the graph, or its tensors differ.
+            RegistryError: no process can be started for the trial.
         """
-        self.size = inspect_graph(model)
+        self.size = tried or try_out(model, inputs, outputs)
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1
         options.inter_op_num_threads = 1

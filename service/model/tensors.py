@@ -1,4 +1,4 @@
-"""Tensors of a graph, the array types that hold them, and the kinds of object context."""
+"""Tensors of a graph, their size in sum, the array types that hold them, and the kinds of object context."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -26,3 +26,11 @@ class Tensor:
     dtype: str
     shape: tuple[int | str, ...]
     units: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class GraphSize:
+    """Bytes of the intermediate tensors of a graph: the sums for one more row, and for one more context."""
+
+    row_bytes: int = 0
+    context_bytes: int = 0

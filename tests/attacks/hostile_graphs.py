@@ -184,6 +184,104 @@ def loop() -> ModelProto:
     return with_nodes(helper.make_node("Loop", ["m", ""], [], body=body), constants={"m": np.array(10**12)})
 
 
+def two_free_sizes() -> ModelProto:
+    """Multiply a column by a row of as many numbers: the product grows with the square of the rows."""
+    return with_nodes(
+        helper.make_node("ReduceSum", ["pusher", "axes"], ["column"], keepdims=1),
+        helper.make_node("Transpose", ["column"], ["row"], perm=[1, 0]),
+        helper.make_node("Mul", ["column", "row"], ["square"]),
+        constants={"axes": np.array([1], dtype=np.int64)},
+    )
+
+
+def nameless_size() -> ModelProto:
+    """Leave the name of the number of rows out."""
+    model = valid_graph()
+    model.graph.input[0].type.tensor_type.shape.dim[0].ClearField("dim_param")
+    return model
+
+
+def doubled_numbers() -> ModelProto:
+    """Join integers with themselves, 40 times. Shape inference follows the values of integers."""
+    chain = [
+        helper.make_node("Concat", [f"c{place}"] * 2, [f"c{place + 1}"], axis=0, name="n" * 250) for place in range(40)
+    ]
+    sized = helper.make_node("Reshape", ["tenth", "c40"], ["huge"])
+    return with_nodes(*chain, sized, constants={"c0": np.array([1, 1], dtype=np.int64)})
+
+
+def doubled_rows() -> ModelProto:
+    """Join the rows with themselves, 30 times, so that one row becomes 2**30."""
+    chain = [helper.make_node("Concat", [f"r{place}"] * 2, [f"r{place + 1}"], axis=0) for place in range(30)]
+    return with_nodes(helper.make_node("Neg", ["pusher"], ["r0"]), *chain)
+
+
+def many_expansions() -> ModelProto:
+    """Expand one number to 4 MiB, 600 times. onnxruntime evaluates constants while it loads."""
+    nodes = [helper.make_node("Expand", ["tenth", "to"], [f"e{place}"]) for place in range(600)]
+    return with_nodes(*nodes, constants={"to": np.array([1 << 20], dtype=np.int64)})
+
+
+def many_live_tensors() -> ModelProto:
+    """Widen each row to 4 MiB, 200 times, and use all of them at the end."""
+    nodes = [helper.make_node("MatMul", ["pusher", "wide"], [f"w{place}"]) for place in range(200)]
+    total = helper.make_node("Sum", [f"w{place}" for place in range(200)], ["total"])
+    return with_nodes(*nodes, total, constants={"wide": np.ones((3, 1 << 20), dtype=np.float32)})
+
+
+def used(model: ModelProto, result: str) -> ModelProto:
+    """Add a result with one number per row to the std, so that onnxruntime does not drop the nodes that compute it."""
+    model.graph.node[1].output[0] = "std0"
+    model.graph.node.append(helper.make_node("Add", ["std0", result], ["std"]))
+    return model
+
+
+def slow_push() -> ModelProto:
+    """Widen each row to a matrix of 4 MiB, and multiply it by a square matrix: 2e9 multiplications."""
+    return used(
+        with_nodes(
+            helper.make_node("MatMul", ["pusher", "wide"], ["row"]),
+            helper.make_node("Reshape", ["row", "to"], ["matrix"]),
+            helper.make_node("MatMul", ["matrix", "square"], ["product"]),
+            helper.make_node("ReduceSum", ["product", "axes"], ["sum"], keepdims=0),
+            helper.make_node("Unsqueeze", ["sum", "last"], ["result"]),
+            constants={
+                "wide": np.ones((3, 1 << 20), dtype=np.float32),
+                "to": np.array([-1, 512, 2048], dtype=np.int64),
+                "square": np.ones((2048, 2048), dtype=np.float32),
+                "axes": np.array([1, 2], dtype=np.int64),
+                "last": np.array([1], dtype=np.int64),
+            },
+        ),
+        "result",
+    )
+
+
+def slow_load() -> ModelProto:
+    """Multiply each row by one matrix, 400 times. onnxruntime arranges it anew for each while it loads."""
+    chain = [helper.make_node("MatMul", [f"s{place}", "square"], [f"s{place + 1}"]) for place in range(400)]
+    return used(
+        with_nodes(
+            helper.make_node("MatMul", ["pusher", "in"], ["s0"]),
+            *chain,
+            helper.make_node("ReduceSum", ["s400", "axes"], ["result"]),
+            constants={
+                "in": np.ones((3, 1024), dtype=np.float32),
+                "square": np.ones((1024, 1024), dtype=np.float32),
+                "axes": np.array([1], dtype=np.int64),
+            },
+        ),
+        "result",
+    )
+
+
+def many_parts() -> ModelProto:
+    """Give one node a quarter of a million empty attributes."""
+    model = valid_graph()
+    model.graph.node[0].attribute.extend(AttributeProto() for _ in range(250_000))
+    return model
+
+
 ATTACKS: dict[str, tuple[Callable[[], ModelProto], str]] = {
     "initialiser": (lambda: with_initializer(external()), EXTERNAL),
     "initialiser with a relative path": (lambda: with_initializer(external(location="../card.md")), EXTERNAL),
@@ -225,7 +323,19 @@ ATTACKS: dict[str, tuple[Callable[[], ModelProto], str]] = {
     "outer product": (outer_product, "elements per row, more than 1048576"),
     "expansion": (lambda: expand([1 << 20, 1 << 20]), "elements per row, more than 1048576"),
     "secret expansion": (expand_secretly, "is unknown before it runs"),
-    "secret sizes": (reshape_secretly, "free sizes in one tensor|elements per row"),
+    "secret sizes": (reshape_secretly, "unknown before it runs"),
+    "two free sizes": (two_free_sizes, "its size does not grow evenly"),
+    "a nameless free size": (nameless_size, "free sizes have at most 2 names"),
+    "chain of doubled numbers": (
+        doubled_numbers,
+        "more memory than is allowed|in the memory that is allowed|unknown before it runs",
+    ),
+    "chain of doubled rows": (doubled_rows, "elements per row, more than 1048576"),
+    "many expansions": (many_expansions, "bytes of computed constants, more than"),
+    "many live tensors": (many_live_tensors, "bytes of tensors per row, more than"),
+    "slow push": (slow_push, "a push takes .* s of processor time; at most"),
+    "slow load": (slow_load, "loading it takes .* s of processor time; at most|memory that is allowed"),
+    "too many parts": (many_parts, "more than 200000 parts"),
     "too many nodes": (many_nodes, "more than 10000 nodes"),
     "shapes that do not fit": (
         lambda: with_nodes(helper.make_node("MatMul", ["pusher", "odd"], ["x"]), constants={"odd": np.ones((7, 1))}),

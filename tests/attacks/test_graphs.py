@@ -53,13 +53,16 @@ def test_a_published_hostile_graph_is_not_served(tmp_path: Path) -> None:
 PEAK_MEMORY_SCRIPT = """
 import resource, sys
 from service.errors import BrokenModelError
-from service.model.onnx_graph import inspect_graph
+from service.model.predictor import OnnxPredictor
+from service.model.tensors import ContextKind
+from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from tests.attacks.hostile_graphs import ATTACKS
 contents = {name: build().SerializeToString() for name, (build, _) in ATTACKS.items()}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for content in contents.values():
     try:
-        inspect_graph(content)
+        OnnxPredictor(content, expected_inputs(ContextKind.NONE), OUTPUTS)
+        print("accepted")
     except BrokenModelError:
         pass
 print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
@@ -67,10 +70,13 @@ print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) // 1024)
 
 
 def test_refusing_hostile_graphs_takes_little_memory(project_root: Path) -> None:
-    """All hostile graphs together raise the peak memory of a process by less than 100 MiB. They declare terabytes."""
+    """All hostile graphs together raise the peak memory of a process by less than 150 MiB. They declare terabytes.
+
+    The largest file has 17 MiB. It is sent to the process that tries it.
+    """
     command = [sys.executable, "-c", PEAK_MEMORY_SCRIPT]
     done = subprocess.run(command, cwd=project_root, capture_output=True, text=True, check=True)
-    assert int(done.stdout) < 100
+    assert int(done.stdout) < 150
 
 
 @pytest.mark.parametrize("place", range(0, 400, 7))

@@ -15,7 +15,7 @@ from service.inference.pieces import (
     predict_in_pieces,
 )
 from service.model.loaded_model import LoadedModel
-from service.model.onnx_graph import GraphSize
+from service.model.tensors import GraphSize
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor, Predictor
 from service.model.push_cost import PushCost
 from service.model.tensors import ContextKind, FloatArray, IndexArray

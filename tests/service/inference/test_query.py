@@ -9,7 +9,7 @@ import pytest
 from service.errors import ContextKindError
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query, predict
-from service.model.onnx_graph import GraphSize
+from service.model.tensors import GraphSize
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import Timings, collect_timings

@@ -9,7 +9,7 @@ import pytest
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
-from service.model.onnx_graph import GraphSize
+from service.model.tensors import GraphSize
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
 from service.pushing.gates import physics_gates

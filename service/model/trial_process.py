@@ -1,0 +1,113 @@
+"""Trial process: reads graphs from standard input, tries each within limits, and answers a line of JSON for each.
+
+    python -m service.model.trial_process
+
+A request is a line of JSON (the size of the graph in bytes, the inputs and the outputs that it must have) and the
+graph. The process writes no files, and ends when its input ends or stays silent for ``IDLE_S``. It is the first that
+the kernel ends when memory is short.
+"""
+
+import contextlib
+import gc
+import json
+import math
+import os
+import resource
+import select
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from service.errors import BrokenModelError, PredictionError
+from service.model.onnx_graph import inspect_graph
+from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor
+from service.model.tensors import GraphSize, Tensor
+
+IDLE_S: Final = 3.0
+MEMORY_BYTES: Final = 160 << 20  # beside a multiple of the file, which is parsed, copied and loaded
+COPIES: Final = 6
+PROCESSOR_S: Final = 4  # for all of a trial, and a second more for each part of the file of this size:
+BYTES_PER_S: Final = 8 << 20
+MAX_LOAD_S: Final = 0.5  # processor time of a load, which holds other threads up, and a second more for each such part:
+LOADED_PER_S: Final = 64 << 20
+MAX_PUSH_S: Final = 0.1  # processor time of one push
+
+
+def main() -> None:
+    """Answer requests until there are none."""
+    answers = os.fdopen(os.dup(1), "wb", buffering=0)
+    os.dup2(2, 1)  # a library that prints must not disturb the answers
+    with contextlib.suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
+    for kind in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE):
+        resource.setrlimit(kind, (0, 0))
+    while select.select([0], [], [], IDLE_S)[0] and (head := sys.stdin.buffer.readline()):
+        request = json.loads(head)
+        model = sys.stdin.buffer.read(request["bytes"])
+        _limit(len(model))
+        answers.write(json.dumps(_answer(model, _tensors(request["inputs"]), _tensors(request["outputs"]))).encode())
+        answers.write(b"\n")
+        del model
+        gc.collect()
+
+
+def _tensors(documents: list[dict[str, Any]]) -> list[Tensor]:
+    return [Tensor(part["name"], part["dtype"], tuple(part["shape"]), tuple(part["units"])) for part in documents]
+
+
+def _limit(size: int) -> None:
+    """Limit memory and processor time for a graph of this size, from here on."""
+    seconds = math.ceil(time.process_time()) + PROCESSOR_S + size // BYTES_PER_S
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
+    with contextlib.suppress(OSError):
+        status = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        held = next(int(line.split()[1]) << 10 for line in status if line.startswith("VmData"))
+        resource.setrlimit(resource.RLIMIT_DATA, (held + MEMORY_BYTES + COPIES * size, resource.RLIM_INFINITY))
+
+
+def _answer(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> dict[str, Any]:
+    fault, size = None, GraphSize()
+    try:
+        size = inspect_graph(model)
+        began = time.process_time()
+        predictor = OnnxPredictor(model, inputs, outputs, tried=size)
+        load_s = time.process_time() - began
+        _check_time("loading it", load_s, MAX_LOAD_S + len(model) / LOADED_PER_S)
+        _check_time("a push", _push_s(predictor, inputs), MAX_PUSH_S)
+    except BrokenModelError as error:
+        fault = str(error)
+    except (MemoryError, PredictionError):
+        fault = "model.onnx: it cannot be evaluated in the memory that is allowed"
+    return {"fault": fault, "row_bytes": size.row_bytes, "context_bytes": size.context_bytes}
+
+
+def _check_time(part: str, seconds: float, most: float) -> None:
+    if seconds > most:
+        raise BrokenModelError(
+            f"model.onnx: {part} takes {seconds:.2g} s of processor time; at most {most:.2g} s are accepted"
+        )
+
+
+def _push_s(predictor: OnnxPredictor, inputs: Sequence[Tensor]) -> float:
+    """Predict one push twice, and return the processor time of the second time. The first also allocates."""
+    rng = np.random.default_rng(0)
+    rows, *contexts = (
+        rng.normal(0.0, 0.1, [ROWS_AT_ONCE, *map(int, tensor.shape[1:])]).astype(np.float32) for tensor in inputs[:2]
+    )
+    context, index = (contexts[0][:1], np.zeros(ROWS_AT_ONCE, dtype=np.int64)) if contexts else (None, None)
+    for _ in range(2):
+        began = time.process_time()
+        try:
+            predictor.predict(rows, context, index)
+        except PredictionError as error:
+            if error.__cause__ is not None:  # the runtime failed. An answer that is no Gaussian took as long as one
+                raise
+    return time.process_time() - began
+
+
+if __name__ == "__main__":
+    main()
