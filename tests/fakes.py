@@ -12,8 +12,7 @@ from service.inference.loaded_models import LoadedModels
 from service.inference.query import FIRST_CONTEXT, ContextBatch, predict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
-from service.model.tensors import GraphSize
-from service.model.tensors import ContextKind, FloatArray, IndexArray, Tensor
+from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray, Tensor
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry

@@ -13,6 +13,7 @@ from service.model.manifest import Manifest
 from service.model.predictor import ROWS_AT_ONCE, Predictor
 from service.model.push_cost import PushCost
 
+MAX_BYTES: Final = 128 << 20  # of all tensors, for all rows and contexts in one call
 _MEASUREMENTS: Final = 3  # the lowest counts: the first call of a session is slower, and another may be interrupted
 _LONG_S: Final = 0.1  # a longer check is not repeated, since its time is known well enough
 
@@ -45,10 +46,15 @@ def check_itself(manifest: Manifest, predictor: Predictor) -> float:
             _, *shape = manifest.inputs[1].shape  # the manifest stores each context as one row of numbers
             context = np.array(check.context, dtype=np.float32).reshape(-1, *map(int, shape))
             index = np.array(check.context_index, dtype=np.int64)
+        size = predictor.size
+        if len(rows) * size.row_bytes + (0 if context is None else len(context)) * size.context_bytes > MAX_BYTES:
+            raise BrokenModelError(f"self-check: it takes more than {MAX_BYTES} bytes of memory; store fewer rows")
         began = time.perf_counter()
         found = np.stack(predictor.predict(rows, context, index))
         seconds = time.perf_counter() - began
         expected = np.array([check.mean, check.std], dtype=np.float32)
+    except BrokenModelError:
+        raise
     except (ValueError, CazslError) as error:
         raise BrokenModelError("self-check: the stored input cannot be run") from error
     if found.shape != expected.shape or not np.allclose(found, expected, rtol=0.0, atol=check.tolerance):

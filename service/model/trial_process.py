@@ -26,6 +26,7 @@ from service.errors import BrokenModelError, PredictionError
 from service.model.onnx_graph import inspect_graph
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor
 from service.model.tensors import GraphSize, Tensor
+from service.model.trial import OUT_OF_MEMORY
 
 IDLE_S: Final = 3.0
 MEMORY_BYTES: Final = 160 << 20  # beside a multiple of the file, which is parsed, copied and loaded
@@ -82,6 +83,8 @@ def _answer(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -
         fault = str(error)
     except (MemoryError, PredictionError):
         fault = "model.onnx: it cannot be evaluated in the memory that is allowed"
+    except Exception as error:  # of any library that reads the file. It would be the same next time
+        fault = f"model.onnx: it cannot be checked ({type(error).__name__})"
     return {"fault": fault, "row_bytes": size.row_bytes, "context_bytes": size.context_bytes}
 
 
@@ -110,4 +113,7 @@ def _push_s(predictor: OnnxPredictor, inputs: Sequence[Tensor]) -> float:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except MemoryError:
+        sys.exit(OUT_OF_MEMORY)

@@ -15,10 +15,9 @@ from service.inference.pieces import (
     predict_in_pieces,
 )
 from service.model.loaded_model import LoadedModel
-from service.model.tensors import GraphSize
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor, Predictor
 from service.model.push_cost import PushCost
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
 from service.registry.loading import load_version
 from service.registry.registry import Registry

@@ -9,9 +9,8 @@ import pytest
 from service.errors import ContextKindError
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query, predict
-from service.model.tensors import GraphSize
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
 from service.observability.timings import Timings, collect_timings
 from service.pushing.contexts import ObjectContext
 from tests.fakes import SMALL, STD, fake_models, predict_push

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 
 from service.errors import BrokenModelError
-from service.model.self_check import check_itself
-from service.model.tensors import ContextKind
+from service.model.self_check import MAX_BYTES, check_itself
+from service.model.tensors import ContextKind, GraphSize
 from tests.fakes import LYING, FakePredictor, draft_manifest
 
 
@@ -28,3 +28,11 @@ def test_a_stored_input_that_cannot_be_run_is_a_broken_model() -> None:
     ragged = replace(manifest.self_check, pusher=[[0.0], [0.0, 1.0]])
     with pytest.raises(BrokenModelError, match="cannot be run"):
         check_itself(replace(manifest, self_check=ragged), FakePredictor(b"", takes_context=True))
+
+
+def test_a_self_check_that_takes_much_memory_is_a_broken_model() -> None:
+    """Stored rows are bounded by the size of the graph: a large graph may store few of them."""
+    predictor = FakePredictor(b"", takes_context=True)
+    predictor.size = GraphSize(row_bytes=MAX_BYTES, context_bytes=1)
+    with pytest.raises(BrokenModelError, match="store fewer rows"):
+        check_itself(draft_manifest(), predictor)

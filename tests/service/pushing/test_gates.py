@@ -9,8 +9,7 @@ import pytest
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
-from service.model.tensors import GraphSize
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
 from service.pushing.gates import physics_gates
 from tests.fakes import SMALL, draft_manifest
