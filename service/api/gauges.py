@@ -22,8 +22,12 @@ class Traffic(Protocol):
 class Pool(Protocol):
     """Counts of a thread pool. ``transport.threads.ThreadPool`` keeps them."""
 
-    jobs: int
     threads: int
+
+    @property
+    def jobs(self) -> int:
+        """Return the number of jobs that wait, work or pause."""
+        ...
 
 
 def gauges(models: LoadedModels, readiness: Readiness, threads: Pool, admission: Traffic) -> Readings:

@@ -5,10 +5,15 @@ calls the other work of a request evicts them from the cache of the core: to rea
 of a push (``benchmarks/serving.py``). No request waits for others: the call runs at the end of the iteration. The
 prediction of a push is the same to the bit in every micro-batch (see ``service.model.predictor``). If a call fails,
 each of its pushes is predicted alone.
+
+Calls are bounded in time, by the cost of the version, and so are all calls of one iteration. What is left is predicted
+in the next one, so that other events come in between.
 """
 
 import asyncio
+import itertools
 import logging
+import math
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextvars import Context
@@ -21,6 +26,8 @@ from service.model.tensors import FloatArray
 from service.observability.timings import record_timing
 
 MAX_PUSHES_PER_CALL: Final = 64  # holds the event loop for a tenth of a millisecond
+CALL_S: Final = 0.01  # of a call in the event loop, at most. A version that takes longer for one push needs a thread.
+ITERATION_S: Final = 0.02  # of all calls of an iteration: no other begins after it
 Gaussian = tuple[FloatArray, FloatArray, float]  # mean and std (1, 3), and the seconds that the call took
 Callback = Callable[[Gaussian | Exception], None]
 _Waiting = tuple[Query, Callback]
@@ -69,26 +76,39 @@ class MicroBatcher:
 
     def flush(self) -> None:
         """Predict the waiting pushes now."""
+        self._predict(math.inf)
+
+    def _end_iteration(self) -> None:
+        """Predict the waiting pushes, or as many as one iteration may."""
+        self._predict(time.perf_counter() + ITERATION_S)
+
+    def _predict(self, latest: float) -> None:
         waiting, self._waiting = self._waiting, []
         failed, self._failed = self._failed, []
-        for group in _groups(waiting):
-            _settle(group)
         for error, callback in failed:
             _call(callback, error)
+        groups = _groups(waiting)
+        for number, group in enumerate(groups):
+            if number and time.perf_counter() > latest:
+                self._schedule()
+                self._waiting = [*itertools.chain.from_iterable(groups[number:]), *self._waiting]
+                return
+            _settle(group)
 
     def _schedule(self) -> None:
         if not self._waiting and not self._failed:  # in an empty context: each request records its own timing
-            asyncio.get_running_loop().call_soon(self.flush, context=Context())
+            asyncio.get_running_loop().call_soon(self._end_iteration, context=Context())
 
 
 def _groups(waiting: Iterable[_Waiting]) -> list[list[_Waiting]]:
-    """Group queries of one model with one kind of context, at most ``MAX_PUSHES_PER_CALL`` together."""
+    """Group queries of one model with one kind of context, at most ``MAX_PUSHES_PER_CALL`` and ``CALL_S`` together."""
     filling: dict[tuple[int, str], list[_Waiting]] = {}
     groups: list[list[_Waiting]] = []
     for one in waiting:
-        key = (id(one[0].model), one[0].contexts.kind)
+        model = one[0].model
+        key = (id(model), one[0].contexts.kind)
         group = filling.get(key)
-        if group is None or len(group) == MAX_PUSHES_PER_CALL:
+        if group is None or len(group) >= min(MAX_PUSHES_PER_CALL, model.cost.contexts_within(CALL_S)):
             group = filling[key] = []
             groups.append(group)
         group.append(one)

@@ -108,6 +108,11 @@ class Query(ABC):
         """
         return predict(self.model, self.pushers, self.contexts)
 
+    def seconds(self) -> float:
+        """Return a bound of the time that the runtime takes, by the measured cost of the version, in s."""
+        contexts = 0 if self.contexts.tensor is None else len(self.contexts.tensor)
+        return self.model.cost.seconds_of(len(self.pushers), contexts)
+
     @abstractmethod
     def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
         """Encode mean and std (n, 3) as an answer."""

@@ -4,5 +4,5 @@
 ``image_files`` opens PNG, JPEG and WebP as containers, ``images`` turns a picture into a visual context, and
 ``image_quality`` judges the result. ``onnx_interface`` lists the tensors of a push model, ``gates`` tests a model
 against the physics, and ``domain`` hands both to a registry. Calls point downward: this package imports
-``service.model`` and ``service.errors`` only.
+``service.model``, ``service.turns`` and ``service.errors`` only.
 """

@@ -10,26 +10,31 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from typing import Any, Final, Generic, TypeVar
 
 from service.inference.loaded_models import LoadedModels
-from service.inference.micro_batching import MicroBatcher
+from service.inference.micro_batching import CALL_S, MicroBatcher
 from service.inference.query import Answer, Query
 from service.inference.snapshot import Snapshot
 from service.transport.threads import ThreadPool
+from service.turns import pause
 
 R = TypeVar("R")
 Headers = Sequence[tuple[bytes, bytes]]
 LIGHT_BYTES: Final = 16 * 1024  # to read them takes about as long as to pass them to a thread
 LIGHT_PUSHES: Final = 256  # to predict them takes about as long as to pass them to a thread
+BODY_GROWTH: Final = 10  # a body of JSON takes up to this many times its bytes, once it is read
 NO_PARAMETERS: Final[Mapping[str, str]] = {}
 
 
 class Weight(Enum):
     """Weight of a request that was read. It decides where the request is answered."""
 
-    SINGLE = "one push: predicted in the micro-batch of this iteration of the event loop"
-    LIGHT = "few contexts: encoded in the event loop; more than LIGHT_PUSHES pushes are predicted in a thread"
+    SINGLE = (
+        "one push: predicted in the micro-batch of this iteration of the event loop, or by a slow model in a thread"
+    )
+    LIGHT = "few contexts: encoded in the event loop; many pushes, or those of a slow model, are predicted in a thread"
     HEAVY = "images or many contexts: encoded and predicted in a thread"
 
 
@@ -69,6 +74,7 @@ class Endpoint(Generic[R]):
         ask: returns the query of a request to one of the models, or an answer if no model is needed.
         weigh: returns the weight of a request that was read.
         is_read_quickly: returns True if the event loop may read this body. Otherwise a thread reads and predicts.
+        held_bytes: returns the memory that a body takes at most once it is read, without the pixels of images.
     """
 
     path: str
@@ -77,6 +83,7 @@ class Endpoint(Generic[R]):
     ask: Callable[[Snapshot, R], Query | Answer]
     weigh: Callable[[R], Weight]
     is_read_quickly: Callable[[HttpRequest], bool]
+    held_bytes: Callable[[HttpRequest], int] = lambda request: BODY_GROWTH * len(request.content)
 
     def answer(self, models: Snapshot, request: HttpRequest) -> Answer:
         """Read, ask, predict and encode in this thread.
@@ -84,7 +91,9 @@ class Endpoint(Generic[R]):
         Raises:
             RequestError, ModelNotReadyError, PredictionError: the request cannot be answered.
         """
-        return self.answer_read(models, self.read(request))
+        read = self.read(request)
+        pause()
+        return self.answer_read(models, read)
 
     def answer_read(self, models: Snapshot, request: R) -> Answer:
         """Ask, predict and encode a request that was read, in this thread."""
@@ -137,21 +146,20 @@ class Endpoints:
         """
         endpoint.check(request.headers)
         models = self._models.snapshot
+        run = partial(self._threads.run, caller=request.caller, size_bytes=endpoint.held_bytes(request))
         if not endpoint.is_read_quickly(request):
-            return await self._threads.run(endpoint.answer, models, request)
+            return await run(endpoint.answer, models, request)
         read = endpoint.read(request)
         weight = endpoint.weigh(read)
         if weight is Weight.HEAVY:
-            return await self._threads.run(endpoint.answer_read, models, read)
+            return await run(endpoint.answer_read, models, read)
         asked = endpoint.ask(models, read)
         if isinstance(asked, Answer):
             return asked
-        if weight is Weight.SINGLE:
-            return await self.micro_batcher.answer(asked)
-        if len(asked.pushers) <= LIGHT_PUSHES:
-            return asked.answer()
+        if len(asked.pushers) <= LIGHT_PUSHES and asked.seconds() <= CALL_S:
+            return await self.micro_batcher.answer(asked) if weight is Weight.SINGLE else asked.answer()
         # Only the runtime goes to the thread: Python code needs the interpreter lock, and to exchange it costs time.
-        return asked.encode(*await self._threads.run(asked.predict))
+        return asked.encode(*await run(asked.predict))
 
     def query_single(self, endpoint: Endpoint[Any], request: HttpRequest) -> Query | None:
         """Return the query of a single push, to be submitted to the micro-batcher, or None if it needs a thread.
@@ -165,7 +173,7 @@ class Endpoints:
         if endpoint.weigh(read) is not Weight.SINGLE:
             return None
         asked = endpoint.ask(self._models.snapshot, read)
-        return None if isinstance(asked, Answer) else asked
+        return None if isinstance(asked, Answer) or asked.model.cost.call_s > CALL_S else asked
 
 
 def _pattern(template: str) -> re.Pattern[str]:

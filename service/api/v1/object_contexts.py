@@ -13,9 +13,11 @@ from service.observability.timings import timed
 from service.pushing.contexts import ObjectContext, VisualContext
 from service.pushing.images import decode, visual_context
 from service.schemas.contexts import ContextBody
+from service.turns import pause
 
 MAX_IMAGES: Final = 16  # per batch: each keeps a thread busy for milliseconds, or for a large part of a second
 _CACHED_DESCRIPTORS: Final = 4096  # Omnipush has 250 objects
+_PART: Final = 256  # contexts between two pauses: other work waits for a millisecond
 _FIELD: Final = "body.context"
 _NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, None, None, _FIELD)
 
@@ -41,25 +43,29 @@ def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | 
     if sum(context.image is not None for context in contexts) > MAX_IMAGES:
         accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
         raise InvalidRequestError.at(where, f"more than {MAX_IMAGES} images", accepted)
-    kinds: dict[ContextKind, int] = {}
-    tensors: list[FloatArray] = []
+    found: ContextKind | None = None
+    tensors = np.empty((0,), dtype=np.float32)
     known: dict[str, int] = {}
     renumbered = np.empty(len(contexts), dtype=np.int64)
+    count = 0
     for number, context in enumerate(contexts):
+        if number % _PART == 0:
+            pause()
         descriptor = context.only_descriptor
         place = None if descriptor is None else known.get(descriptor)
         if place is None:
             kind, tensor = _encode(context, f"{where}.{number}")
-            kinds.setdefault(kind, number)
-            place = len(tensors)
-            tensors.append(tensor)
+            if found is None:  # room for all of them: a list of tensors and their copy would take twice the memory
+                found, tensors = kind, np.empty((len(contexts), *tensor.shape[1:]), dtype=np.float32)
+            elif kind is not found:
+                received = f"kind {found} at 0 and kind {kind} at {number}"
+                raise InvalidRequestError.at(where, received, "contexts of one kind")
+            tensors[count] = tensor[0]
+            place, count = count, count + 1
             if descriptor is not None:
                 known[descriptor] = place
         renumbered[number] = place
-    if len(kinds) > 1:
-        received = " and ".join(f"kind {kind} at {number}" for kind, number in kinds.items())
-        raise InvalidRequestError.at(where, received, "contexts of one kind")
-    return ContextBatch(next(iter(kinds)), np.concatenate(tensors), renumbered[index], where)
+    return ContextBatch(found or ContextKind.NONE, tensors[:count], renumbered[index], where)
 
 
 def encode_image(image: bytes, index: IndexArray) -> ContextBatch:

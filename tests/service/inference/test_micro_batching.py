@@ -1,6 +1,8 @@
 """Single pushes of one iteration of the event loop run in one call of the runtime, with an answer each."""
 
 import asyncio
+import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +10,10 @@ import pytest
 
 from service.api.v1.queries import ask_single
 from service.errors import ContextKindError, PredictionError
-from service.inference.micro_batching import MAX_PUSHES_PER_CALL, MicroBatcher
+from service.inference.micro_batching import CALL_S, ITERATION_S, MAX_PUSHES_PER_CALL, MicroBatcher
 from service.inference.query import Answer
 from service.inference.snapshot import Snapshot
+from service.model.push_cost import PushCost
 from service.model.tensors import ContextKind
 from service.observability.timings import Timings, collect_timings
 from service.schemas.pushes import PredictRequest
@@ -91,6 +94,49 @@ def test_a_call_has_a_maximum_of_pushes(models: Snapshot) -> None:
 
     assert calls(models, "push-none") == [MAX_PUSHES_PER_CALL, MAX_PUSHES_PER_CALL, 1]
     assert all(isinstance(answer, Answer) for answer in answers)
+
+
+def test_a_call_is_bounded_in_time(models: Snapshot) -> None:
+    """A version with slow pushes gets calls of fewer pushes, and at least one."""
+    for call_s, expected in ((CALL_S / 10, 10), (CALL_S / 1.5, 1)):
+        predictor = FakePredictor(b"", takes_context=False)
+        slow = replace(models.find_default(ContextKind.NONE), predictor=predictor, cost=PushCost(call_s=call_s))
+        answers = answered(Snapshot({("push-none", 1): slow}, models.aliases), [request(n) for n in range(23)])
+        assert max(map(len, predictor.calls)) == expected
+        assert all(isinstance(answer, Answer) for answer in answers)
+
+
+def test_an_iteration_is_bounded_in_time(models: Snapshot) -> None:
+    """When the calls of an iteration have taken their time, other events come before the remaining calls."""
+    order: list[str] = []
+
+    class Slow(FakePredictor):
+        """A predictor of which one call takes longer than an iteration may."""
+
+        def predict(self, *asked: Any) -> Any:
+            """See ``FakePredictor``."""
+            order.append("call")
+            time.sleep(1.1 * ITERATION_S)
+            return super().predict(*asked)
+
+    slow = replace(
+        models.find_default(ContextKind.NONE), predictor=Slow(b"", takes_context=False), cost=PushCost(call_s=CALL_S)
+    )
+    served = Snapshot({("push-none", 1): slow}, models.aliases)
+
+    async def scenario() -> list[object]:
+        """Submit three pushes, of which each is a call, and then another event."""
+        outcomes: list[object] = []
+        batcher = MicroBatcher()
+        for number in range(3):
+            batcher.submit(ask_single(served, request(number)), outcomes.append)
+        asyncio.get_running_loop().call_soon(order.append, "event")
+        while len(outcomes) < 3:
+            await asyncio.sleep(0)
+        return outcomes
+
+    assert not any(isinstance(outcome, Exception) for outcome in asyncio.run(scenario()))
+    assert order == ["call", "event", "call", "call"]
 
 
 def test_a_failing_push_does_not_fail_others(models: Snapshot) -> None:

@@ -4,18 +4,22 @@ import asyncio
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeVar, TypeVarTuple
 
 import numpy as np
 import pytest
 
 from service.errors import InvalidRequestError, NotAcceptableError
 from service.inference.loaded_models import LoadedModels
+from service.inference.micro_batching import CALL_S
 from service.inference.query import Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
+from service.model.push_cost import PushCost
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.transport.endpoints import (
+    BODY_GROWTH,
     LIGHT_PUSHES,
     NO_PARAMETERS,
     Endpoint,
@@ -28,6 +32,8 @@ from service.transport.endpoints import (
 from service.transport.threads import ThreadPool
 from tests.fakes import FakePredictor, fake_models
 
+T = TypeVar("T")
+Ts = TypeVarTuple("Ts")
 Step = tuple[str, bool]  # its name, and True in the thread of the event loop
 REQUEST = HttpRequest([], b"1", NO_PARAMETERS)
 
@@ -89,7 +95,7 @@ def steps() -> Steps:
 def model(models: LoadedModels, steps: Steps) -> LoadedModel:
     """Return a model without context whose predictor notes its calls."""
     found = models.snapshot.find(ModelReference.parse("push-none"))
-    return replace(found, predictor=NotingPredictor(b"", False, steps=steps))
+    return replace(found, predictor=NotingPredictor(b"", False, steps=steps), cost=PushCost())
 
 
 def fake_endpoint(
@@ -110,6 +116,19 @@ def fake_endpoint(
         return NotingQuery(model, np.zeros((pushes, 3), dtype=np.float32), contexts, steps)
 
     return Endpoint(path, check, read, ask, lambda _: weight, lambda _: is_read_quickly)
+
+
+class NotingThreads(ThreadPool):
+    """A thread pool that notes the caller and the memory of each job."""
+
+    def __init__(self) -> None:
+        super().__init__(1, 8, 10.0)
+        self.noted: list[tuple[str, int]] = []
+
+    async def run(self, function: Callable[[*Ts], T], *args: *Ts, caller: str = "", size_bytes: int = 0) -> T:
+        """See ``ThreadPool.run``."""
+        self.noted.append((caller, size_bytes))
+        return await super().run(function, *args, caller=caller, size_bytes=size_bytes)
 
 
 def table(models: LoadedModels, *endpoints: Endpoint[int]) -> Endpoints:
@@ -193,6 +212,39 @@ def test_the_weight_decides_the_thread_of_each_step(
     assert answer.content == b"%d" % pushes
     assert steps.names() == ["check", "read", "ask", "predict", "encode"]
     assert {name for name, in_loop in steps.taken if not in_loop} == in_thread
+
+
+@pytest.mark.parametrize("weight", [Weight.SINGLE, Weight.LIGHT])
+@pytest.mark.parametrize(
+    ("call_s", "pushes", "in_thread"),
+    [(0.9 * CALL_S, 1, set()), (1.1 * CALL_S, 1, {"predict"}), (CALL_S / 50, 100, {"predict"}), (9.0, 1, {"predict"})],
+    ids=["quick", "slow", "quick but many", "very slow"],
+)
+def test_a_slow_version_works_in_a_thread(
+    models: LoadedModels,
+    model: LoadedModel,
+    steps: Steps,
+    weight: Weight,
+    call_s: float,
+    pushes: int,
+    in_thread: set[str],
+) -> None:
+    """Whatever the graph, the event loop predicts only as long as it may by the measured cost of the version."""
+    endpoint = fake_endpoint(steps, replace(model, cost=PushCost(call_s=call_s)), weight)
+    endpoints = table(models, endpoint)
+    answered(endpoints, endpoint, pushes)
+    assert {name for name, in_loop in steps.taken if not in_loop} == in_thread
+    assert (endpoints.query_single(endpoint, REQUEST) is None) is (call_s > CALL_S or weight is not Weight.SINGLE)
+
+
+def test_each_caller_has_a_share_of_the_threads(models: LoadedModels, model: LoadedModel, steps: Steps) -> None:
+    """The caller of a request, and the memory that its body becomes, are those of its job."""
+    endpoint = fake_endpoint(steps, model, Weight.HEAVY)
+    threads = NotingThreads()
+    request = HttpRequest([], b"0001", NO_PARAMETERS, "key:robot")
+    for each in (endpoint, replace(endpoint, is_read_quickly=lambda _: False)):
+        asyncio.run(Endpoints([each], models, threads).answer(each, request))
+    assert threads.noted == [("key:robot", 4 * BODY_GROWTH)] * 2
 
 
 def test_single_pushes_of_an_iteration_are_predicted_in_one_call(

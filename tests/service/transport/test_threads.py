@@ -1,4 +1,4 @@
-"""The thread pool has a bounded queue and a deadline."""
+"""The thread pool has a bounded queue and a deadline, and its jobs take turns."""
 
 import asyncio
 import threading
@@ -8,6 +8,7 @@ import pytest
 from service.errors import DeadlineError, OverloadedError
 from service.processors import processors
 from service.transport.threads import ThreadPool, threads_beside_the_loop
+from service.turns import ending, pause
 
 
 def test_a_function_runs_in_a_thread() -> None:
@@ -79,6 +80,140 @@ def test_a_cancelled_job_that_has_not_begun_is_dropped() -> None:
     asyncio.run(scenario())
     pool.close()
     assert not begun.is_set()
+
+
+def parts_of(name: str, number: int, done: list[str], begun: threading.Event, go_on: threading.Event) -> str:
+    """Work in this many parts, noting each, with a pause between them. The first part ends once it may."""
+    begun.set()
+    assert go_on.wait(10.0)
+    for part in range(number):
+        if part:
+            pause()
+        done.append(name)
+    return name
+
+
+def test_a_job_of_another_caller_comes_between() -> None:
+    """While one caller has the only thread with a long job, a short one of another caller is done after one part."""
+    pool, done = ThreadPool(1, 8, 10.0), list[str]()
+    begun, go_on = threading.Event(), threading.Event()
+
+    async def scenario() -> None:
+        """Run the scenario in an event loop."""
+        long = asyncio.create_task(pool.run(parts_of, "long", 16, done, begun, go_on, caller="a"))
+        await asyncio.to_thread(begun.wait)
+        same = asyncio.create_task(pool.run(parts_of, "same", 1, done, begun, go_on, caller="a"))
+        other = asyncio.create_task(pool.run(parts_of, "other", 1, done, begun, go_on, caller="b"))
+        await asyncio.sleep(0)
+        go_on.set()
+        assert [await task for task in (long, same, other)] == ["long", "same", "other"]
+
+    asyncio.run(scenario())
+    pool.close()
+    assert done == ["long", "other", *["long"] * 15, "same"]
+    assert pool.jobs == 0
+
+
+def wait_for_the_end(begun: threading.Event, ended: threading.Event) -> None:
+    """Work until the answer is no longer wanted, as a graph does that is told to end."""
+    with ending(ended.set):
+        begun.set()
+        assert ended.wait(10.0)
+    pause()
+
+
+def pause_for_ever(begun: threading.Event, ended: threading.Event) -> None:
+    """Pause again and again, until a pause says that the answer is no longer wanted."""
+    begun.set()
+    try:
+        while True:
+            pause()
+    finally:
+        ended.set()
+
+
+@pytest.mark.parametrize("work", [wait_for_the_end, pause_for_ever])
+@pytest.mark.parametrize("reason", ["deadline", "client left", "pool closed"])
+def test_a_job_that_nobody_waits_for_frees_its_thread(reason: str, work: object) -> None:
+    """At its deadline, when its client leaves, and when the pool is closed, a job ends early."""
+    assert callable(work)
+    pool = ThreadPool(1, 8, 0.05 if reason == "deadline" else 60.0)
+    begun, ended = threading.Event(), threading.Event()
+
+    async def scenario() -> None:
+        """Run the scenario in an event loop."""
+        running = asyncio.create_task(pool.run(work, begun, ended))
+        assert await asyncio.to_thread(begun.wait, 10.0)
+        if reason == "client left":
+            running.cancel()
+        elif reason == "pool closed":
+            pool.close()
+        expected = asyncio.CancelledError if reason == "client left" else DeadlineError
+        with pytest.raises(expected):
+            await running
+        assert await asyncio.to_thread(ended.wait, 10.0)
+        assert await pool.run(int) == 0  # in the only thread
+
+    asyncio.run(scenario())
+    pool.close()
+
+
+def test_a_paused_job_ends_at_its_deadline() -> None:
+    """A job that waits for its next turn, while another has the thread, ends at its deadline as well."""
+    pool, release, begun = ThreadPool(1, 8, 0.2), threading.Event(), threading.Event()
+    outcome = list[str]()
+
+    def work() -> None:
+        begun.wait(10.0)
+        try:
+            pause()
+        except DeadlineError:
+            outcome.append("ended")
+
+    async def scenario() -> None:
+        """Run the scenario in an event loop."""
+        paused = asyncio.create_task(pool.run(work, caller="a"))
+        await asyncio.sleep(0)
+        holding = asyncio.create_task(pool.run(release.wait, caller="b"))
+        await asyncio.sleep(0)
+        begun.set()
+        for task in (paused, holding):
+            with pytest.raises(DeadlineError):
+                await task
+
+    asyncio.run(scenario())
+    release.set()
+    pool.close()
+    for thread in threading.enumerate():
+        if thread.name.startswith("worker"):
+            thread.join()
+    assert outcome == ["ended"]
+    assert pool.jobs == 0
+
+
+def test_a_dropped_job_gets_its_refusal() -> None:
+    """In a full queue the newest job of the caller with the most is refused for one of another caller."""
+    pool, release = ThreadPool(1, 2, 10.0), threading.Event()
+
+    async def scenario() -> None:
+        """Run the scenario in an event loop."""
+        kept, waiting, newest = (asyncio.create_task(pool.run(release.wait, caller="a")) for _ in range(3))
+        await asyncio.sleep(0)
+        other = asyncio.create_task(pool.run(release.wait, caller="b"))
+        with pytest.raises(OverloadedError):
+            await newest
+        release.set()
+        assert [await task for task in (kept, waiting, other)] == [True] * 3
+
+    asyncio.run(scenario())
+    pool.close()
+
+
+def test_outside_of_a_pool_work_never_pauses() -> None:
+    """In a command or a test ``pause`` returns at once, and nothing ends the work."""
+    pause(1 << 60)
+    with ending(lambda: pytest.fail("ended")):
+        pause()
 
 
 def test_a_thread_that_outlives_the_loop_is_silent(caplog: pytest.LogCaptureFixture) -> None:
