@@ -24,7 +24,7 @@ from PIL import ExifTags, Image
 
 from service.errors import InvalidImageError, RequestError
 from service.pushing.contexts import VISUAL_SIZE, VisualContext
-from service.pushing.image_files import ImageLimits, check_metadata, open_image_file
+from service.pushing.image_files import ImageLimits, check_metadata, count_pixels, open_image_file
 from service.turns import pause
 
 FIELD_OF_VIEW_M: Final = 0.160  # across the square. Every Omnipush object fits with 10 mm to spare.
@@ -90,8 +90,8 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
         InvalidImageError: the picture is broken, truncated or animated, or costs more than a picture needs.
         DeadlineError: see ``service.turns.pause``.
     """
+    pause(BYTES_PER_PIXEL * min(count_pixels(content), limits.max_pixels))
     with open_image_file(content, limits, where) as image:
-        pause(BYTES_PER_PIXEL * image.width * image.height)
         try:
             image.load()
             check_metadata(image, where)
