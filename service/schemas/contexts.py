@@ -12,7 +12,7 @@ from service.errors import InvalidRequestError
 from service.pushing.contexts import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
 from service.pushing.image_quality import quality_flags, thumbnail_png
 from service.pushing.images import decode, visual_context
-from service.schemas.body import Body
+from service.schemas.body import Body, at_most
 
 INDICATOR_EXAMPLE: Final = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
@@ -52,6 +52,9 @@ def _one_form(schema: dict[str, Any]) -> None:
     schema["oneOf"] = [
         {"required": [form], "properties": {form: {"not": {"type": "null"}}}} for form in schema["properties"]
     ]
+
+
+_LevelRow = Annotated[list[float], Field(fail_fast=True)]
 
 
 class VisualContextBody(Body):
@@ -97,6 +100,7 @@ class ContextBody(Body):
     ] = None
     indicator: Annotated[
         list[float] | None,
+        at_most(INDICATOR_LENGTH),
         Field(
             min_length=INDICATOR_LENGTH,
             max_length=INDICATOR_LENGTH,
@@ -106,7 +110,8 @@ class ContextBody(Body):
         ),
     ] = None
     visual: Annotated[
-        str | list[list[float]] | None,
+        str | list[_LevelRow] | None,
+        at_most(VISUAL_SIZE),
         Field(
             description="a visual context: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
             "in [0, 1]. POST /v1/contexts makes one from an image.",
