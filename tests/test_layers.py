@@ -74,7 +74,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.observability": "numpy orjson prometheus_client pythonjsonlogger starlette",
         "service.model": "numpy",
         "service.pushing": "numpy",
-        "service.schemas": "numpy pydantic pydantic_core",
+        "service.schemas": "numpy orjson pydantic pydantic_core",
         "service.inference": "numpy",
         "service.transport": "orjson starlette",
         "service.bulk": "numpy pyarrow",

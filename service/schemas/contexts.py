@@ -100,7 +100,6 @@ class ContextBody(Body):
     ] = None
     indicator: Annotated[
         list[float] | None,
-        at_most(INDICATOR_LENGTH),
         Field(
             min_length=INDICATOR_LENGTH,
             max_length=INDICATOR_LENGTH,
@@ -108,16 +107,17 @@ class ContextBody(Body):
             examples=[INDICATOR_EXAMPLE],
             json_schema_extra=_INDICATOR_SCHEMA,
         ),
+        at_most(INDICATOR_LENGTH),
     ] = None
     visual: Annotated[
         str | list[_LevelRow] | None,
-        at_most(VISUAL_SIZE),
         Field(
             description="a visual context: base64 of 1,024 grey levels, row by row, or 32 rows of 32 numbers "
             "in [0, 1]. POST /v1/contexts makes one from an image.",
             examples=["AAAA" * (_VISUAL_TEXT_LENGTH // 4 - 1) + "AA=="],
             json_schema_extra=_VISUAL_SCHEMA,
         ),
+        at_most(VISUAL_SIZE),
     ] = None
     image: Annotated[
         str | None,

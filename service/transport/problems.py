@@ -1,6 +1,6 @@
 """Answers to failures: ``application/problem+json`` (RFC 9457), and under ``/v2`` that protocol's ``{"error": text}``.
 
-They never hold a traceback, a path of the server, or the body that was sent.
+They never hold a traceback, a path of the server, or the body that was sent. They have a few KiB at most.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,6 +17,8 @@ from service.schemas.body import MAX_FAULTS
 from service.schemas.problems import FaultBody, ProblemBody
 
 MEDIA_TYPE: Final = "application/problem+json"
+MAX_DETAIL: Final = 1_200
+MAX_PART: Final = 160  # characters of a part of a fault
 _HEADERS: Final[Mapping[HTTPStatus, Mapping[str, str]]] = {
     HTTPStatus.UNAUTHORIZED: {"WWW-Authenticate": "Bearer"},
     HTTPStatus.REQUEST_TIMEOUT: {"Connection": "close"},  # the service does not await the rest of the body
@@ -51,7 +53,9 @@ def render_problem(
     if scope["path"].startswith("/v2"):
         if status == HTTPStatus.UNPROCESSABLE_ENTITY:
             status = HTTPStatus.BAD_REQUEST  # the protocol has no other status for invalid requests
-        return Response(orjson.dumps({"error": detail}), int(status), headers, media_type="application/json")
+        return Response(
+            orjson.dumps({"error": _shortened(detail, MAX_DETAIL)}), int(status), headers, media_type="application/json"
+        )
     content = problem_body(HTTPStatus(status), code, title, detail, faults, record.request_id)
     return Response(content, int(status), headers, media_type=MEDIA_TYPE)
 
@@ -59,14 +63,23 @@ def render_problem(
 def problem_body(
     status: HTTPStatus, code: str, title: str, detail: str, faults: Sequence[FieldFault] = (), request_id: str = ""
 ) -> bytes:
-    """Return the document of a problem."""
+    """Return the document of a problem. Long texts are cut, because some name what is served."""
     body = ProblemBody(
         type=f"urn:cazsl:problem:{code}",
         title=title,
         status=int(status),
         code=code,
-        detail=detail,
-        errors=[FaultBody(where=fault.where, received=fault.received, accepted=fault.accepted) for fault in faults],
+        detail=_shortened(detail, MAX_DETAIL),
+        errors=[_fault_body(fault) for fault in faults[:MAX_FAULTS]],
         request_id=request_id,
     )
     return body.model_dump_json().encode()
+
+
+def _fault_body(fault: FieldFault) -> FaultBody:
+    parts = {part: _shortened(getattr(fault, part), MAX_PART) for part in ("where", "received", "accepted")}
+    return FaultBody(**parts)
+
+
+def _shortened(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"

@@ -1,18 +1,24 @@
 """Bodies of the Open Inference Protocol. These classes read requests, and document requests and answers.
 
-A request may have fields and parameters of the protocol that this service does not use. They are ignored.
+A request may have fields and parameters of the protocol that this service does not use. They are ignored, unless the
+answer would be in another form or place than the client expects: see ``UNSUPPORTED``.
 """
 
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import ConfigDict, Field, SkipValidation
+from pydantic import ConfigDict, FailFast, Field, SkipValidation
 
 from service.schemas.body import Body
 from service.schemas.contexts import INDICATOR_EXAMPLE
 from service.schemas.rows import MAX_PUSHES
 
 LARGEST_RANK: Final = 4
-Parameters = dict[str, bool | int | float | str | None]
+UNSUPPORTED: Final = {
+    "shared_memory_region": "tensors in the body of the request and of the answer",
+    "classification": "outputs as they are, without classes",
+}
+"""Parameters of tensors that are refused, and the accepted form instead."""
+Parameters = dict[str, Any]  # of any type: those of other servers are ignored
 _OPEN: Final = ConfigDict(extra="ignore")
 _PUSHER_EXAMPLE: Final = {"name": "pusher", "datatype": "FP32", "shape": [1, 3], "data": [-0.075, 0.0, 0.0]}
 _OUTPUT_EXAMPLE: Final = {"name": "mean", "datatype": "FP32", "shape": [1, 3], "data": [0.021, 0.001, 0.03]}
@@ -120,6 +126,7 @@ class InferInputBody(Body):
     datatype: Annotated[Literal["FP32", "INT64"], Field(description="INT64 for context_index", examples=["FP32"])]
     shape: Annotated[
         list[Annotated[int, Field(ge=1, le=MAX_PUSHES)]],
+        FailFast(),
         Field(
             min_length=1,
             max_length=LARGEST_RANK,
@@ -167,6 +174,7 @@ class InferRequestBody(Body):
     ] = None
     inputs: Annotated[
         list[InferInputBody],
+        FailFast(),
         Field(
             min_length=1,
             max_length=3,
@@ -177,6 +185,7 @@ class InferRequestBody(Body):
     ]
     outputs: Annotated[
         list[OutputBody] | None,
+        FailFast(),
         Field(max_length=2, description="outputs to return; left out: mean and std", examples=[[{"name": "mean"}]]),
     ] = None
 

@@ -26,6 +26,7 @@ from service.pushing.poses import REACH_M, wrap_angles
 _OUTPUT_NAMES: Final = tuple(tensor.name for tensor in OUTPUTS)
 _CONTEXTS: Final = "inputs context"
 _CACHED_INDICATORS: Final = 4096
+_LEVELS_AT_ONCE: Final = 256  # visual contexts rounded at once: their float64 takes 2 MiB
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,6 +154,9 @@ def _levels(given: Array) -> FloatArray:
     """Return visual contexts (g, 1, 32, 32), rounded to 8 bits."""
     if given.min() < 0.0 or given.max() > 1.0:
         raise InvalidRequestError.at(_CONTEXTS, "a level outside [0, 1]", "0 (black) to 1 (white)")
-    levels = np.floor(given.astype(np.float64) * 255.0 + 0.5).astype(np.float32)
-    contexts: FloatArray = levels / np.float32(255.0)
+    contexts = np.empty(given.shape, dtype=np.float32)
+    for start in range(0, len(given), _LEVELS_AT_ONCE):
+        part = slice(start, start + _LEVELS_AT_ONCE)
+        contexts[part] = np.floor(given[part].astype(np.float64) * 255.0 + 0.5)
+    contexts /= np.float32(255.0)
     return contexts

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import orjson
 
-from service.api.open_inference.bodies import InferInputBody, InferRequestBody
+from service.api.open_inference.bodies import UNSUPPORTED, InferInputBody, InferRequestBody, Parameters
 from service.errors import InvalidRequestError, MalformedBodyError
 from service.model.tensors import Tensor
 from service.schemas.body import parse_body
@@ -32,7 +32,7 @@ def read_json(content: bytes, header_length: str | None) -> tuple[InferRequestBo
 
     Raises:
         MalformedBodyError: the length in the header does not fit, or the bytes are not JSON.
-        InvalidRequestError: a field is missing or not allowed.
+        InvalidRequestError: a field is missing or not allowed, or a parameter is one of ``UNSUPPORTED``.
     """
     length = len(content)
     if header_length is not None:
@@ -42,7 +42,10 @@ def read_json(content: bytes, header_length: str | None) -> tuple[InferRequestBo
                 f"header Inference-Header-Content-Length: received another value; accepted is {accepted}"
             )
         length = int(header_length[:12])
-    return parse_body(InferRequestBody, content[:length], prefix=()), memoryview(content)[length:]
+    body = parse_body(InferRequestBody, content[:length], prefix=())
+    _check_supported("inputs", [tensor.parameters for tensor in body.inputs])
+    _check_supported("outputs", [tensor.parameters for tensor in body.outputs or ()])
+    return body, memoryview(content)[length:]
 
 
 def read_inputs(part: InferRequestBody, raw: memoryview, expected: Sequence[Tensor]) -> dict[str, Array]:
@@ -96,6 +99,14 @@ def render(
         return json, ((b"content-type", b"application/json"),)
     length = (LENGTH_HEADER, str(len(json)).encode())
     return b"".join([json, *raw]), ((b"content-type", b"application/octet-stream"), length)
+
+
+def _check_supported(field: str, found: Sequence[Parameters | None]) -> None:
+    for number, parameters in enumerate(found):
+        for name, accepted in UNSUPPORTED.items():
+            if (parameters or {}).get(name) is not None:
+                where = f"{field}.{number}.parameters.{name}"
+                raise InvalidRequestError.at(where, "a parameter that is not supported", accepted)
 
 
 def _check_shape(shape: list[int], tensor: Tensor, where: str) -> None:

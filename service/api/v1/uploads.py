@@ -9,11 +9,11 @@ from collections.abc import AsyncGenerator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-import pydantic_core
 from starlette.datastructures import Headers, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
 from service.errors import InvalidRequestError, MalformedBodyError, UnsupportedMediaTypeError
+from service.schemas.documents import parse_json
 
 IMAGE_TYPES: Final = ("image/png", "image/jpeg", "image/webp")
 FORM_TYPE: Final = "multipart/form-data"
@@ -101,8 +101,8 @@ def _is_utf8(content_type: str) -> bool:
 
 def _json(name: str, text: str) -> Any:
     try:
-        return pydantic_core.from_json(text)
-    except ValueError as error:
+        return parse_json(text.encode())
+    except MalformedBodyError as error:
         raise InvalidRequestError.at(
             f"body.{name}", "a text that is not JSON", "JSON, as in POST /v1/predict"
         ) from error

@@ -7,7 +7,9 @@ import pytest
 from pydantic import Field
 
 from service.errors import InvalidRequestError, MalformedBodyError
-from service.schemas.body import MAX_FAULTS, Body, invalid_request, parse_body, parse_json, validate_body
+from service.schemas import body
+from service.schemas.body import MAX_FAULTS, Body, at_most, invalid_request, parse_body, validate_body
+from service.schemas.documents import parse_json
 
 
 class Point(Body):
@@ -22,6 +24,18 @@ class Shape(Body):
     """A shape of two to three points."""
 
     points: Annotated[list[Point], Field(min_length=2, max_length=3)]
+
+
+class Bits(Body):
+    """A list of 36 values."""
+
+    bits: Annotated[list[float], Field(min_length=36, max_length=36), at_most(36)]
+
+
+class Table(Body):
+    """A table with names of the client."""
+
+    cells: dict[str, float]
 
 
 VALUE = "a value of a client"
@@ -156,3 +170,30 @@ def test_errors_of_the_framework_become_one_error_of_the_tree() -> None:
     error = invalid_request(found)
     assert len(error.faults) == MAX_FAULTS
     assert str(error.faults[0]) == "path.name: received a text of 19 characters; accepted is String should be short"
+
+
+@pytest.mark.parametrize("count", [11, 5_000, 50_000])
+def test_unknown_fields_cost_no_more_than_ten(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At most ten unknown fields of an object become faults, at any depth, so a thousand cost no more than ten."""
+    seen: list[int] = []
+    monkeypatch.setattr(body, "invalid_request", lambda found, _: seen.append(len(found)) or InvalidRequestError([]))
+    unknown = {f"f{number}": 0 for number in range(count)}
+    for document in (unknown, {"points": [{"x": 0.0, **unknown}] * 2}, {"points": [{"x": "0", **unknown}] * 3}):
+        with pytest.raises(InvalidRequestError):
+            parse_body(Shape, json.dumps(document).encode())
+    assert max(seen) <= 3 * (len(Point.model_fields) + MAX_FAULTS)
+
+
+def test_a_list_that_is_too_long_is_refused_before_its_values() -> None:
+    """A list of a bounded length has one fault if it is longer, whatever is in it."""
+    error = refusal(Bits, {"bits": ["x"] * 10_000})
+    assert [(fault.received, fault.accepted) for fault in error.faults] == [("10000 values", "at most 36")]
+    assert len(refusal(Bits, {"bits": ["x"] * 36}).faults) == MAX_FAULTS
+
+
+def test_a_name_in_a_path_is_not_repeated() -> None:
+    """The name of an entry that a client chose is in no path of a fault, unless it is short and plain."""
+    with pytest.raises(InvalidRequestError) as caught:
+        validate_body(Table, {"cells": {"a": 1.0, "<b>" * 9: "x", "n" * 10_000: "x"}})
+    unusual = "body.cells.(a field with an unusual name)"
+    assert [fault.where for fault in caught.value.faults] == [unusual] * 2

@@ -10,7 +10,8 @@ import pytest
 from service.errors import CazslError, InvalidRequestError
 from service.model.reference import ModelReference
 from service.pushing.poses import into_object_frame
-from service.schemas.body import parse_body, parse_json, validate_body
+from service.schemas.body import parse_body, validate_body
+from service.schemas.documents import parse_json
 from service.schemas.pushes import BatchRequest, PredictRequest
 
 ORIGIN = [0.0, 0.0, 0.0]

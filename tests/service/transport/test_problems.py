@@ -101,3 +101,13 @@ def test_a_problem_without_a_request_has_no_request_id() -> None:
     """A connection that refuses bytes before there is a request sends the same document."""
     body = json.loads(problem_body(SlowBodyError.status, "slow_head", "Request Timeout", "head: late"))
     assert (body["code"], body["errors"], body["request_id"]) == ("slow_head", [], "")
+
+
+@pytest.mark.parametrize("path", ["/v1/predict", "/v2/models/a/infer"])
+def test_an_answer_has_a_few_kib_whatever_is_in_its_message(path: str) -> None:
+    """Long texts and more than ten faults are cut, so no refusal has more than a few KiB."""
+    long = FieldFault("w" * 100_000, "r" * 100_000, "a" * 100_000)
+    for error in (InvalidRequestError([long] * 100), OverloadedError("n" * 100_000)):
+        response = problem_response(scope(path), error)
+        assert len(response.body) < 8192
+        assert len(json.loads(bytes(response.body)).get("errors", ())) <= 10
