@@ -110,6 +110,7 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.transport.connection": "uvicorn",
         "service.transport.draining": "uvicorn",
         "service.api.v1.routes": "fastapi",
+        "service.api.v1.uploads": "python_multipart",
         "service.api.open_inference.routes": "fastapi",
         "service.cli.serve": "prometheus_client starlette uvicorn",
         "training.publishing.onnx_export": "onnx",
