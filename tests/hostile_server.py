@@ -59,7 +59,10 @@ def _answer(connection: socket.socket, parts: Reply, received: Received, done: t
         connection.settimeout(PATIENCE_S)
         request = b""
         while b"\r\n\r\n" not in request:
-            request += connection.recv(65536)
+            part = connection.recv(65536)
+            if not part:
+                return  # the client closed the connection without a request
+            request += part
         received.heads.append(request.partition(b"\r\n\r\n")[0].decode())
         try:
             for part in parts:

@@ -8,15 +8,23 @@
 The distribution is called ``cazsl``. torch is never loaded, and onnxruntime only by ``Client.local``.
 
 ``blocking`` and ``asynchronous`` are the two clients, and ``base`` is their common part. ``calls`` builds requests and
-parses answers, ``retries`` decides on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this
-process and is imported only by ``Client.local``. Calls point downward: the package imports ``service.schemas``,
-``service.model`` and ``service.errors``, and ``local`` also imports the packages that answer a request.
+parses answers, ``deadline`` bounds each call in time, ``retries`` decides on pauses, and ``errors`` are the exceptions.
+``local`` answers requests in this process and is imported only by ``Client.local``. Calls point downward: the package
+imports ``service.schemas``, ``service.model`` and ``service.errors``, and ``local`` also imports the packages that
+answer a request.
 """
 
 from service.client.asynchronous import AsyncClient
 from service.client.blocking import Client
 from service.client.calls import Predictions
-from service.client.errors import ClientError, ProblemError, TimedOutError, UnreachableError, UnreadableAnswerError
+from service.client.errors import (
+    ClientError,
+    ClientSetupError,
+    ProblemError,
+    TimedOutError,
+    UnreachableError,
+    UnreadableAnswerError,
+)
 from service.client.retries import Retries
 from service.schemas.contexts import ContextBody
 
@@ -24,6 +32,7 @@ __all__ = [
     "AsyncClient",
     "Client",
     "ClientError",
+    "ClientSetupError",
     "ContextBody",
     "Predictions",
     "ProblemError",

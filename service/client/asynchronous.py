@@ -9,8 +9,9 @@ import httpx2
 import numpy.typing as npt
 
 from service.client import calls
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part, connections
 from service.client.calls import Call, Context, Image, Predictions
+from service.client.deadline import ConnectionWatch, Deadline
 from service.client.retries import Retries, retry_after_s
 from service.schemas.contexts import VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
@@ -32,7 +33,7 @@ class AsyncClient(ClientBase):
         http: httpx2.AsyncClient | None = None,
     ) -> None:
         super().__init__(url, key, timeout_s, retries)
-        self._http = http or httpx2.AsyncClient()
+        self._http = http or connections(url, httpx2.AsyncClient, httpx2.AsyncHTTPTransport)
 
     @classmethod
     def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
@@ -105,27 +106,31 @@ class AsyncClient(ClientBase):
         return await self._send(calls.show_version(name, version))
 
     async def _send(self, call: Call[T]) -> T:
+        deadline = Deadline(self._timeout_s)
         attempt = 0
         while True:
             attempt += 1
-            response, content = await self._exchange(call)
-            pause_s = self._pause_s(attempt, response)
+            response, content = await self._exchange(call, deadline)
+            pause_s = self._pause_s(attempt, response, deadline)
             if pause_s is None:
                 return call.read(response.status_code, content, retry_after_s(response.headers.get("retry-after")))
             await asyncio.sleep(pause_s)
 
-    async def _exchange(self, call: Call[T]) -> tuple[httpx2.Response, bytes]:
-        """Send one request and read the whole answer within the timeout."""
-        content = bytearray()
-        try:
-            async with (
-                asyncio.timeout(self._timeout_s),
-                self._http.stream(**self._request(call)) as response,
-            ):
-                async for part in response.aiter_raw():
-                    add_part(content, part)
-        except (TimeoutError, httpx2.TimeoutException) as error:
-            raise self._timed_out() from error
-        except httpx2.TransportError as error:
-            raise self._unreachable(error) from error
-        return response, bytes(content)
+    async def _exchange(self, call: Call[T], deadline: Deadline) -> tuple[httpx2.Response, bytes]:
+        """Send one request and read the whole answer before the deadline. See ``Client``."""
+        while True:
+            content = bytearray()
+            watch = ConnectionWatch(deadline)
+            try:
+                async with (
+                    asyncio.timeout(deadline.bound_s(None)),
+                    self._http.stream(**self._request(call, deadline, watch.trace_async)) as response,
+                ):
+                    async for part in response.aiter_raw():
+                        add_part(content, part, call.max_answer_bytes)
+                return response, bytes(content)
+            except (TimeoutError, httpx2.TimeoutException) as error:
+                raise self._timed_out() from error
+            except (httpx2.RequestError, httpx2.InvalidURL) as error:
+                if not watch.was_idle:
+                    raise self._unreachable(error) from error

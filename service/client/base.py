@@ -1,61 +1,109 @@
-"""Base of both clients: address, API key, timeout, retries, and the limit on the size of an answer."""
+"""Base of both clients: address, API key, connections, timeout, retries, and the limit on the size of an answer."""
 
 import random
+from collections.abc import Callable
 from typing import Any, Final, TypeVar
+from urllib.request import proxy_bypass
 
 import httpx2
 
 import service
 from service.client.calls import Call
-from service.client.errors import TimedOutError, UnreachableError, UnreadableAnswerError
+from service.client.deadline import Deadline
+from service.client.errors import ClientSetupError, TimedOutError, UnreachableError, UnreadableAnswerError
 from service.client.retries import Retries, retry_after_s
 
 DEFAULT_URL: Final = "http://localhost:8000"
 IN_PROCESS_URL: Final = "http://in-process"
 ONE_ATTEMPT: Final = Retries(attempts=1)
-MAX_ANSWER_BYTES: Final = 64 << 20  # the largest answer, 10,000 pushes in the world frame, has 3 MB
 # No compressed answers: their size after decompression is unknown.
 _HEADERS: Final = {"User-Agent": f"cazsl/{service.__version__}", "Accept-Encoding": "identity"}
 
 T = TypeVar("T")
+H = TypeVar("H", httpx2.Client, httpx2.AsyncClient)
 
 
 class ClientBase:
     """Common part of both clients. It sends no requests itself."""
 
     def __init__(self, url: str, key: str | None, timeout_s: float, retries: Retries | None) -> None:
+        if key is not None and not (key and key.isascii() and key.isprintable() and key == key.strip()):
+            raise ClientSetupError(
+                "key: received an empty text, or one with spaces around it or characters that no key has; "
+                "accepted is a key as `cazsl keys new` shows it"
+            )
         self._url = url.rstrip("/")
         self._headers = dict(_HEADERS) if key is None else {**_HEADERS, "Authorization": f"Bearer {key}"}
         self._timeout_s = timeout_s
         self._retries = retries or Retries()
         self._draw = random.SystemRandom().random  # the system's source: forked processes must not draw equal pauses
 
-    def _request(self, call: Call[T]) -> dict[str, Any]:
-        """Return the keyword arguments of the request for httpx."""
-        headers = {**self._headers, **call.body.get("headers", {})}
-        url = self._url + call.path
-        return {"method": call.method, "url": url, "timeout": self._timeout_s, **call.body, "headers": headers}
+    def _request(self, call: Call[T], deadline: Deadline, trace: Callable[..., Any]) -> dict[str, Any]:
+        """Return the keyword arguments of the request for httpx, which calls ``trace`` at each step.
 
-    def _pause_s(self, attempt: int, response: httpx2.Response) -> float | None:
+        Raises:
+            TimeoutError: no time is left.
+        """
+        return {
+            "method": call.method,
+            "url": self._url + call.path,
+            "timeout": deadline.bound_s(self._timeout_s),
+            "extensions": {"trace": trace},
+            **call.body,
+            "headers": {**self._headers, **call.body.get("headers", {})},
+        }
+
+    def _pause_s(self, attempt: int, response: httpx2.Response, deadline: Deadline) -> float | None:
+        """Return the pause before the next attempt in s, or None if there is none, or no time for it."""
         asked_s = retry_after_s(response.headers.get("retry-after"))
-        return self._retries.pause_s(attempt, response.status_code, asked_s, self._draw)
+        pause_s = self._retries.pause_s(attempt, response.status_code, asked_s, self._draw)
+        return None if pause_s is None or pause_s >= deadline.left_s() else pause_s
 
     def _timed_out(self) -> TimedOutError:
         return TimedOutError(f"{self._url} gave no complete answer within {self._timeout_s:g} s")
 
-    def _unreachable(self, error: httpx2.TransportError) -> UnreachableError:
+    def _unreachable(self, error: httpx2.RequestError | httpx2.InvalidURL) -> UnreachableError:
         cause = str(error) or type(error).__name__
         return UnreachableError(
             f"{self._url} cannot be reached: {cause}; is the service running, and is this its address?"
         )
 
 
-def add_part(content: bytearray, part: bytes) -> None:
+def connections(url: str, client: Callable[..., H], transport: Callable[[], Any]) -> H:
+    """Create the connections of a client from the settings of the environment for proxies and certificates.
+
+    Args:
+        url: address of the service. If ``no_proxy`` exempts it, the proxies of the environment are not read.
+        client: class of the client of httpx.
+        transport: class of its direct connections.
+
+    Raises:
+        ClientSetupError: a proxy or a certificate of the environment cannot be used.
+    """
+    try:
+        if proxy_bypass(httpx2.URL(url).netloc.decode("ascii")):
+            return client(transport=transport())
+        return client()
+    except ImportError as error:
+        raise ClientSetupError("a proxy of the environment needs the package 'socksio': pip install socksio") from error
+    except (ValueError, httpx2.InvalidURL) as error:
+        raise ClientSetupError(
+            f"HTTP_PROXY, HTTPS_PROXY or ALL_PROXY: received no address of a proxy ({error}); "
+            "accepted is http://host:port"
+        ) from error
+    except OSError as error:
+        cause = error.strerror or str(error)
+        raise ClientSetupError(
+            f"SSL_CERT_FILE or SSL_CERT_DIR: received no readable certificates ({cause}); accepted are PEM files"
+        ) from error
+
+
+def add_part(content: bytearray, part: bytes, max_bytes: int) -> None:
     """Append a part of an answer.
 
     Raises:
-        UnreadableAnswerError: the answer has more than ``MAX_ANSWER_BYTES``.
+        UnreadableAnswerError: the answer is larger than any answer to this call.
     """
     content += part
-    if len(content) > MAX_ANSWER_BYTES:
-        raise UnreadableAnswerError(f"the answer has more than {MAX_ANSWER_BYTES} bytes")
+    if len(content) > max_bytes:
+        raise UnreadableAnswerError(f"the answer has more than {max_bytes} bytes; is this a CAZSL service?")

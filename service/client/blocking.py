@@ -9,8 +9,9 @@ import httpx2
 import numpy.typing as npt
 
 from service.client import calls
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part, connections
 from service.client.calls import Call, Context, Image, Predictions
+from service.client.deadline import ConnectionWatch, Deadline
 from service.client.retries import Retries, retry_after_s
 from service.schemas.contexts import VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
@@ -25,9 +26,12 @@ class Client(ClientBase):
     Args:
         url: address of the service.
         key: API key, if the service requires one.
-        timeout_s: limit of each attempt, in s: connect, send, and read the whole answer.
+        timeout_s: limit of a call, in s: connect, send, read the whole answer, and all retries with their pauses.
         retries: number and pauses of retries after a 503. No other answer is retried.
         http: your own httpx client, for TLS, proxies or other transports. It is closed with this client.
+
+    Raises:
+        ClientSetupError: the key, or a proxy or certificate of the environment, cannot be used.
 
     Every method raises:
         ProblemError: the service refused the request. ``code``, ``detail`` and ``faults`` give the reason.
@@ -45,7 +49,7 @@ class Client(ClientBase):
         http: httpx2.Client | None = None,
     ) -> None:
         super().__init__(url, key, timeout_s, retries)
-        self._http = http or httpx2.Client()
+        self._http = http or connections(url, httpx2.Client, httpx2.HTTPTransport)
 
     @classmethod
     def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
@@ -148,27 +152,33 @@ class Client(ClientBase):
         return self._send(calls.show_version(name, version))
 
     def _send(self, call: Call[T]) -> T:
+        deadline = Deadline(self._timeout_s)
         attempt = 0
         while True:
             attempt += 1
-            response, content = self._exchange(call)
-            pause_s = self._pause_s(attempt, response)
+            response, content = self._exchange(call, deadline)
+            pause_s = self._pause_s(attempt, response, deadline)
             if pause_s is None:
                 return call.read(response.status_code, content, retry_after_s(response.headers.get("retry-after")))
             time.sleep(pause_s)
 
-    def _exchange(self, call: Call[T]) -> tuple[httpx2.Response, bytes]:
-        """Send one request and read the whole answer. Each wait for bytes, and their sum, is bounded by the timeout."""
-        end_s = time.monotonic() + self._timeout_s
-        content = bytearray()
-        try:
-            with self._http.stream(**self._request(call)) as response:
-                for part in response.iter_raw():
-                    add_part(content, part)
-                    if time.monotonic() > end_s:
-                        raise self._timed_out()
-        except httpx2.TimeoutException as error:
-            raise self._timed_out() from error
-        except httpx2.TransportError as error:
-            raise self._unreachable(error) from error
-        return response, bytes(content)
+    def _exchange(self, call: Call[T], deadline: Deadline) -> tuple[httpx2.Response, bytes]:
+        """Send one request and read the whole answer before the deadline.
+
+        An idle connection may end while the request is sent. The request is then sent again on another one, which is
+        safe because predictions have no side effects.
+        """
+        while True:
+            content = bytearray()
+            watch = ConnectionWatch(deadline)
+            try:
+                with watch, self._http.stream(**self._request(call, deadline, watch.trace)) as response:
+                    for part in response.iter_raw():
+                        add_part(content, part, call.max_answer_bytes)
+                        deadline.bound_s(None)
+                return response, bytes(content)
+            except (TimeoutError, httpx2.TimeoutException) as error:
+                raise self._timed_out() from error
+            except (httpx2.RequestError, httpx2.InvalidURL) as error:
+                if not watch.was_idle:
+                    raise self._unreachable(error) from error

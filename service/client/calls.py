@@ -36,6 +36,11 @@ _POSE_PARTS: Final = 3
 _REAL_KINDS: Final = "fiu"
 _PHRASES: Final = {int(status): status.phrase for status in HTTPStatus}
 _JSON: Final = {"Content-Type": "application/json"}
+MAX_ANSWER_BYTES: Final = 1 << 20
+MAX_CATALOGUE_BYTES: Final = 4 << 20  # a list of 10,000 models, or a manifest with its card
+_PROBLEM_BYTES: Final = 64 * 1024
+_ROW_BYTES: Final = 1024  # more than one push in the world frame: 15 numbers of up to 24 digits, with their brackets
+_LISTED_FAULTS: Final = 100  # to list the faults takes a thousand times the memory of the answer
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +73,8 @@ class Call(Generic[T]):
     parse: Callable[[bytes], T]
     body: Mapping[str, Any]
     """Body as keyword arguments of httpx: ``content`` and ``headers``, or ``data`` and ``files``."""
+    max_answer_bytes: int = MAX_ANSWER_BYTES
+    """Maximum bytes of an answer. A service of ours sends less, and another server gets no more of our memory."""
 
     def read(self, status: int, content: bytes, retry_after_s: float | None) -> T:
         """Parse the answer.
@@ -81,10 +88,8 @@ class Call(Generic[T]):
         try:
             return self.parse(content)
         except ValidationError as error:
-            fault = error.errors(include_url=False, include_input=False)[0]
-            where = ".".join(str(part) for part in fault["loc"]) or "the answer"
             raise UnreadableAnswerError(
-                f"{self.path}: the answer cannot be read: {where}: {fault['msg']}; is this a CAZSL service?"
+                f"{self.path}: the answer cannot be read: {_reason(error)}; is this a CAZSL service?"
             ) from error
 
 
@@ -117,7 +122,7 @@ def predict_batch(
         document["context_index"] = _index(context_index)
     if object_poses is not None:
         document["object_poses"] = _rows(object_poses, "object_poses")
-    return _post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)))
+    return _post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)), len(rows))
 
 
 def predict_image(
@@ -129,7 +134,8 @@ def predict_image(
     if object_poses is not None:
         fields["object_poses"] = _dump(_rows(object_poses, "object_poses"))
     body = {"data": fields, "files": {"image": ("image", _image(image))}}
-    return Call("POST", "/v1/predict/image", lambda content: _predictions(content, len(rows)), body)
+    max_answer_bytes = MAX_ANSWER_BYTES + len(rows) * _ROW_BYTES
+    return Call("POST", "/v1/predict/image", lambda content: _predictions(content, len(rows)), body, max_answer_bytes)
 
 
 def make_context(image: Image) -> Call[VisualContextBody]:
@@ -139,21 +145,23 @@ def make_context(image: Image) -> Call[VisualContextBody]:
 
 def list_models() -> Call[ModelsBody]:
     """Build the request for all models."""
-    return Call("GET", "/v1/models", _reader(ModelsBody), {})
+    return Call("GET", "/v1/models", _reader(ModelsBody), {}, MAX_CATALOGUE_BYTES)
 
 
 def show_model(name: str) -> Call[ModelBody]:
     """Build the request for one model."""
-    return Call("GET", f"/v1/models/{_segment(name)}", _reader(ModelBody), {})
+    return Call("GET", f"/v1/models/{_segment(name)}", _reader(ModelBody), {}, MAX_CATALOGUE_BYTES)
 
 
 def show_version(name: str, version: int) -> Call[ModelVersionDetailBody]:
     """Build the request for one version with its manifest and card."""
-    return Call("GET", f"/v1/models/{_segment(name)}/versions/{version:d}", _reader(ModelVersionDetailBody), {})
+    path = f"/v1/models/{_segment(name)}/versions/{version:d}"
+    return Call("GET", path, _reader(ModelVersionDetailBody), {}, MAX_CATALOGUE_BYTES)
 
 
-def _post(path: str, document: dict[str, Any], parse: Callable[[bytes], T]) -> Call[T]:
-    return Call("POST", path, parse, {"content": _dump(document), "headers": _JSON})
+def _post(path: str, document: dict[str, Any], parse: Callable[[bytes], T], rows: int = 0) -> Call[T]:
+    body = {"content": _dump(document), "headers": _JSON}
+    return Call("POST", path, parse, body, MAX_ANSWER_BYTES + rows * _ROW_BYTES)
 
 
 def _dump(document: object) -> bytes:
@@ -228,6 +236,14 @@ def _reader(kind: type[B]) -> Callable[[bytes], B]:
     return lambda content: kind.model_validate_json(content, extra="ignore")
 
 
+def _reason(error: ValidationError) -> str:
+    """Return the first fault of an answer with its place, or the number of faults if they are too many to list."""
+    if error.error_count() > _LISTED_FAULTS:
+        return f"{error.error_count()} faults"
+    fault = error.errors(include_url=False, include_input=False)[0]
+    return f"{'.'.join(str(part) for part in fault['loc']) or 'the answer'}: {fault['msg']}"
+
+
 def _predictions(content: bytes, count: int) -> Predictions:
     body = BatchResponse.model_validate_json(content, extra="ignore")
     kind = np.float32 if body.frame == "object" else np.float64
@@ -252,7 +268,8 @@ def _array(rows: Sequence[Any], shape: tuple[int, ...], kind: type[np.floating[A
 
 def _problem(status: int, content: bytes, retry_after_s: float | None) -> ProblemError:
     try:
-        body = ProblemBody.model_validate_json(content, extra="ignore")
+        # A problem has a few KiB. A longer text, such as the page of a proxy, is not parsed.
+        body = ProblemBody.model_validate_json(content[:_PROBLEM_BYTES], extra="ignore")
     except ValidationError:
         phrase = _PHRASES.get(status, "unknown status")
         detail = (

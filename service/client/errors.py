@@ -5,7 +5,8 @@
         ├── ProblemError           the service refused the request: status, code, detail and faults
         ├── UnreachableError       there was no answer, or the connection broke
         │   └── TimedOutError      the answer did not arrive in time
-        └── UnreadableAnswerError  the answer is not that of a CAZSL service
+        ├── UnreadableAnswerError  the answer is not that of a CAZSL service
+        └── ClientSetupError       the key, or a proxy or certificate of the environment, cannot be used
 
 Standard library only.
 """
@@ -81,3 +82,10 @@ class UnreadableAnswerError(ClientError):
 
     code = "unreadable_answer"
     title = "The answer cannot be read"
+
+
+class ClientSetupError(ClientError):
+    """The client cannot be created: its key, or a proxy or certificate of the environment, cannot be used."""
+
+    code = "client_setup"
+    title = "The client cannot be set up"

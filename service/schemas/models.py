@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import FailFast, Field
 
 from service.schemas.body import Body
 
@@ -30,14 +30,18 @@ class ModelBody(Body):
     context_kind: Annotated[
         str, Field(description="kind of context that it takes: none, indicator or visual", examples=["indicator"])
     ]
-    versions: Annotated[list[int], Field(description="versions that are served, oldest first", examples=[[1, 2]])]
+    versions: Annotated[
+        list[int], FailFast(), Field(description="versions that are served, oldest first", examples=[[1, 2]])
+    ]
     aliases: Annotated[dict[str, int], Field(description="version that each alias names", examples=[{"champion": 2}])]
 
 
 class ModelsBody(Body):
     """Models that are served."""
 
-    models: Annotated[list[ModelBody], Field(description="models, sorted by name", examples=[[_MODEL_EXAMPLE]])]
+    models: Annotated[
+        list[ModelBody], FailFast(), Field(description="models, sorted by name", examples=[[_MODEL_EXAMPLE]])
+    ]
 
 
 class ModelVersionDetailBody(Body):
@@ -45,7 +49,9 @@ class ModelVersionDetailBody(Body):
 
     name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
     version: Annotated[int, Field(ge=1, description="number of the version, which never changes", examples=[1])]
-    aliases: Annotated[list[str], Field(description="aliases that name this version now", examples=[["champion"]])]
+    aliases: Annotated[
+        list[str], FailFast(), Field(description="aliases that name this version now", examples=[["champion"]])
+    ]
     manifest: Annotated[
         dict[str, Any],
         Field(

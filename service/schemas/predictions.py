@@ -7,6 +7,8 @@ from pydantic import Field
 from service.schemas.body import Body
 from service.schemas.models import ModelVersionBody
 
+# A client stops at the first fault of a wrong answer. To list all of them would take a thousand times its memory.
+Rows = Annotated[list[Annotated[list[float], Field(fail_fast=True)]], Field(fail_fast=True)]
 Frame = Annotated[
     Literal["object", "world"],
     Field(
@@ -55,21 +57,21 @@ class BatchResponse(Body):
     model: ModelVersionBody
     frame: Frame
     mean: Annotated[
-        list[list[float]],
+        Rows,
         Field(
             description="for each push the mean of x, y, angle in m, m, rad, the angle in (-pi, pi]",
             examples=[[[0.021, 0.001, 0.03]]],
         ),
     ]
     std: Annotated[
-        list[list[float]],
+        Rows,
         Field(
             description="for each push the standard deviations of x, y, angle in m, m, rad",
             examples=[[[0.002, 0.001, 0.02]]],
         ),
     ]
     covariance: Annotated[
-        list[list[list[float]]] | None,
+        Annotated[list[Rows], Field(fail_fast=True)] | None,
         Field(
             description="for each push 3 x 3, of x, y, angle in m and rad. Only in the world frame.",
             examples=[[[[4e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 4e-4]]]],

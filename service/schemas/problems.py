@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import FailFast, Field
 
 from service.schemas.body import Body
 
@@ -39,7 +39,9 @@ class ProblemBody(Body):
         str, Field(description="the faulty field, the received and the accepted value", examples=[_DETAIL_EXAMPLE])
     ]
     errors: Annotated[
-        list[FaultBody], Field(description="faults of the request, at most ten", examples=[[_FAULT_EXAMPLE]])
+        list[FaultBody],
+        FailFast(),
+        Field(description="faults of the request, at most ten", examples=[[_FAULT_EXAMPLE]]),
     ] = []  # noqa: RUF012 (pydantic copies it)
     request_id: Annotated[
         str,

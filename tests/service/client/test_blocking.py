@@ -1,8 +1,13 @@
 """Tests of both clients against a real service process and against hostile servers."""
 
 import asyncio
+import contextlib
 import gzip
 import json
+import socket
+import struct
+import threading
+import tracemalloc
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,14 +20,17 @@ from PIL import Image
 from service.client import (
     AsyncClient,
     Client,
+    ClientError,
+    ClientSetupError,
     ContextBody,
     ProblemError,
     Retries,
     TimedOutError,
     UnreachableError,
     UnreadableAnswerError,
+    calls,
 )
-from service.client.base import MAX_ANSWER_BYTES
+from service.client.calls import MAX_CATALOGUE_BYTES
 from service.transport.keys import Grant, Scope
 from tests.hostile_server import Reply, hostile, reply
 from tests.running_service import PATIENCE_S, ROOT, free_port, serve
@@ -299,12 +307,17 @@ def test_redirect_is_not_followed(ask: Ask) -> None:
 @both
 @pytest.mark.parametrize(
     "parts",
-    [[b"", b"HTTP"], [b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n", *([b"{"] * 1000)]],
-    ids=["never begins", "never ends"],
+    [
+        [b"", b"HTTP"],
+        [b"HTTP/1.1 200 OK\r\nContent-Length: 1000\r\n\r\n", *([b"{"] * 1000)],
+        [b"HTTP/1.1 200 OK\r\nX: ", *([b"x"] * 1000)],
+        [b"HTTP/1.1 100 Continue\r\n\r\n"] * 1000,
+    ],
+    ids=["never begins", "never ends", "head never ends", "informational answers never end"],
 )
 def test_slow_answer_times_out(ask: Ask, parts: Reply) -> None:
     """An answer that is late as a whole times out, even if each of its bytes arrives in time."""
-    slow = [parts[0], *([b""] * 100), *parts[1:]]
+    slow = [parts[0], *([b""] * 100), *parts[1:]] if len(parts) == 2 else parts
     with hostile([slow]) as (url, _), pytest.raises(TimedOutError, match=r"within 0\.3 s"):
         ask(url, timeout_s=0.3)
 
@@ -341,7 +354,7 @@ def test_endless_answer_is_cut_at_the_size_limit() -> None:
 
     endless = httpx2.MockTransport(lambda _: httpx2.Response(200, stream=Endless()))
     client = Client(http=httpx2.Client(transport=endless))
-    with client, pytest.raises(UnreadableAnswerError, match=str(MAX_ANSWER_BYTES)):
+    with client, pytest.raises(UnreadableAnswerError, match=str(MAX_CATALOGUE_BYTES)):
         client.list_models()
 
 
@@ -353,3 +366,145 @@ def test_request_headers_name_the_client_and_refuse_compression() -> None:
     assert "user-agent: cazsl/" in head
     assert "accept-encoding: identity" in head
     assert "authorization: bearer secret" in head
+
+
+@both
+def test_retries_and_pauses_end_with_the_timeout(ask: Ask) -> None:
+    """A pause that would outlast the timeout is not begun: the last 503 is raised."""
+    asks_for_a_minute = reply("503 Service Unavailable", PROBLEM, "Retry-After: 60")
+    with hostile([asks_for_a_minute]) as (url, seen), pytest.raises(ProblemError, match="overloaded"):
+        ask(url, timeout_s=5.0, retries=Retries(longest_s=120.0))
+    assert len(seen.heads) == 1
+
+
+@contextlib.contextmanager
+def one_answer_per_connection(reset: bool) -> Iterator[str]:
+    """Run a server that keeps each connection open after its first answer, and ends it at the second request."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def answer() -> None:
+            """Answer one request of each connection."""
+            while True:
+                connection, _ = listener.accept()
+                with connection:
+                    if not read_request(connection):
+                        return
+                    connection.sendall(FINE[0].replace(b"Connection: close\r\n", b""))
+                    read_request(connection)
+                    if reset:
+                        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{listener.getsockname()[1]}"
+        finally:
+            socket.create_connection(listener.getsockname()).close()
+            thread.join()
+
+
+def read_request(connection: socket.socket) -> bytes:
+    """Read one request with a body in JSON. Empty if the client closed the connection."""
+    received = b""
+    while not received.endswith(b"}"):
+        part = connection.recv(65536)
+        if not part:
+            return b""
+        received += part
+    return received
+
+
+@pytest.mark.parametrize("reset", [False, True], ids=["closed", "reset"])
+def test_idle_connection_that_ends_is_replaced(reset: bool) -> None:
+    """A request on an idle connection that the service ends at the same time is sent again on a new one."""
+    with one_answer_per_connection(reset) as url, Client(url, timeout_s=PATIENCE_S) as client:
+        assert [client.predict([0.0, 0.0, 0.0], OBJECT).model.version for _ in range(4)] == [1] * 4
+
+    async def scenario(url: str) -> None:
+        """Ask four times on one client."""
+        async with AsyncClient(url, timeout_s=PATIENCE_S) as client:
+            assert [(await client.predict([0.0, 0.0, 0.0], OBJECT)).model.version for _ in range(4)] == [1] * 4
+
+    with one_answer_per_connection(reset) as url:
+        asyncio.run(scenario(url))
+
+
+@both
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("HTTP_PROXY", "gopher://proxy:70", "HTTP_PROXY"),
+        ("ALL_PROXY", "http://proxy:port", "ALL_PROXY"),
+        ("HTTP_PROXY", "http://pro\nxy", "HTTP_PROXY"),
+        ("ALL_PROXY", "socks5://proxy:1080", "socksio"),
+        ("SSL_CERT_FILE", "/absent.pem", "SSL_CERT_FILE"),
+        ("SSL_CERT_FILE", "/", "SSL_CERT_FILE"),
+        ("SSL_CERT_FILE", __file__, "SSL_CERT_FILE"),
+    ],
+)
+def test_unusable_environment_is_an_error_that_names_it(
+    ask: Ask, name: str, value: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A proxy or certificate of the environment that cannot be used is a ClientSetupError that names the variable."""
+    monkeypatch.setenv(name, value)
+    with pytest.raises(ClientSetupError, match=said):
+        ask("http://example.com")
+
+
+@both
+@pytest.mark.parametrize(
+    ("exempt", "proxy"),
+    [
+        ("127.0.0.1", "http://127.0.0.1:9"),
+        ("127.0.0.0/8", "http://127.0.0.1:9"),
+        ("127.0.0.1", "gopher://proxy:70"),
+        ("*", "gopher://proxy:70"),
+        ("other.example, 127.0.0.1", "socks5://proxy:1080"),
+    ],
+)
+def test_no_proxy_exempts_the_service(ask: Ask, exempt: str, proxy: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An address in no_proxy is asked directly, also if the proxy could not be used."""
+    monkeypatch.setenv("http_proxy", proxy)
+    monkeypatch.setenv("no_proxy", exempt)
+    with hostile([FINE]) as (url, _):
+        assert ask(url).model.version == 1
+
+
+@both
+@pytest.mark.parametrize("url", ["", "localhost:8000", "ftp://localhost", "http://", "http://[", "http://h:port", "\n"])
+def test_unusable_address_is_an_error_of_the_client(ask: Ask, url: str) -> None:
+    """An address that is none is an error of the client."""
+    with pytest.raises(ClientError):
+        ask(url)
+
+
+@both
+@pytest.mark.parametrize("key", ["", " key", "key\n", "k\r\nX: y", "schlüssel", "\0"])
+def test_unusable_key_is_refused_without_a_request(ask: Ask, key: str) -> None:
+    """A key with characters that no header may have is refused before a request, and is not shown."""
+    with hostile([FINE]) as (url, seen), pytest.raises(ClientSetupError, match="key: received"):
+        ask(url, key=key)
+    assert not seen.heads
+
+
+@pytest.mark.parametrize("value", ["0", "[]", "{}", "null", '"x"', "[0]", "[[0]]"])
+@pytest.mark.parametrize("field", ["mean", "covariance", "model", "errors", "models", "versions", "unknown"])
+def test_wrong_answers_are_parsed_in_bounded_memory(field: str, value: str) -> None:
+    """A large wrong answer costs at most 200 times its size, by every call."""
+    answer = f'{{"{field}": [{",".join([value] * 50_000)}]}}'.encode()
+    made: list[calls.Call[Any]] = [
+        calls.predict([0.0, 0.0, 0.0], None, None, None),
+        calls.predict_batch(PUSHERS, None, None, None, None),
+        calls.make_context(b""),
+        calls.list_models(),
+        calls.show_model("push-indicator"),
+        calls.show_version("push-indicator", 1),
+    ]
+    for call in made:
+        for status in (200, 422):
+            tracemalloc.start()
+            with pytest.raises(ClientError):
+                call.read(status, answer, None)
+            peak = tracemalloc.get_traced_memory()[1]
+            tracemalloc.stop()
+            assert peak < 200 * len(answer)
