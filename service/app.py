@@ -1,8 +1,6 @@
 """Application: ``create_app(settings, models)`` composes all parts."""
 
-import asyncio
 import contextlib
-import logging
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
 from typing import Any, Final
@@ -22,6 +20,8 @@ from service.api.open_inference.endpoints import inference_endpoints
 from service.api.openapi import give_examples, problems, protocol_errors, state_media_type
 from service.api.v1 import routes as v1
 from service.api.v1.endpoints import ENDPOINTS, SINGLE
+from service.background.supervision import Supervisor
+from service.background.threads import PurposeThreads
 from service.errors import ForbiddenError, MissingKeyError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
@@ -40,8 +40,6 @@ from service.transport.problems import internal_error, problem_response
 from service.transport.threads import ThreadPool, threads_beside_the_loop
 
 _FIRST_POLL_S: Final = 2.0
-
-logger = logging.getLogger(__name__)
 
 DESCRIPTION = """\
 Predicts the pose of an object after a robot pushes it, and the uncertainty of that pose. Send the pose of the pusher
@@ -100,20 +98,21 @@ def create_app(
     threads = ThreadPool(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
+    supervisor = _supervisor(settings, models, readiness, log)
     endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads)
     app = Service(
         title="CAZSL",
         version=service.__version__,
         description=DESCRIPTION,
-        lifespan=_lifespan(settings, models, readiness, threads, log),
+        lifespan=_lifespan(supervisor, threads, log),
         docs_url=None,  # our page loads no file from another host
         redoc_url=None,
         redirect_slashes=False,  # a redirect would repeat the host in the request
     )
     admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
-    metrics = exposition(app.requests, gauges(models, readiness, threads, admission))
-    app.parts = Parts(models, readiness, keys, endpoints, metrics)
+    metrics = exposition(app.requests, gauges(models, readiness, threads, admission, supervisor, log.writer.dropped))
+    app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics)
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
     install_error_handlers(app)
     telemetry = RequestTelemetry(admission, _internal_error, log, app.requests)
@@ -123,26 +122,27 @@ def create_app(
     return app
 
 
+def _supervisor(settings: Settings, models: LoadedModels, readiness: Readiness, log: RequestLog) -> Supervisor:
+    """Return the supervisor of every background task of the application."""
+    polling = PurposeThreads("poll", 1)
+    supervisor = Supervisor()
+    supervisor.repeat("poll", lambda: polling.run(models.refresh), settings.poll_interval_s)
+    supervisor.repeat("probe", readiness.probe, settings.probe_interval_s, settings.probe_interval_s)
+    supervisor.watch(log.writer.health)
+    return supervisor
+
+
 def _lifespan(
-    settings: Settings, models: LoadedModels, readiness: Readiness, threads: ThreadPool, log: RequestLog
+    supervisor: Supervisor, threads: ThreadPool, log: RequestLog
 ) -> Callable[[FastAPI], AbstractAsyncContextManager[None]]:
     @contextlib.asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
-        """Poll the registry before the first request, unless that takes long, and then at intervals."""
-        polled = asyncio.Event()
-        timers = [
-            asyncio.create_task(_poll(models, settings.poll_interval_s, polled)),
-            asyncio.create_task(_probe(readiness, settings.probe_interval_s)),
-        ]
-        with contextlib.suppress(TimeoutError):  # a slow registry: /livez answers, /readyz gives the reason
-            await asyncio.wait_for(polled.wait(), _FIRST_POLL_S)
-        yield
-        for timer in timers:
-            timer.cancel()
-            with contextlib.suppress(asyncio.CancelledError):
-                await timer
+        """Run the background tasks. The first requests await the first poll of the registry, unless it takes long."""
+        async with supervisor.running():
+            await supervisor.first("poll", _FIRST_POLL_S)  # a slow registry: /livez answers, /readyz gives the reason
+            yield
         threads.close()
-        log.flush()
+        log.close()
 
     return lifespan
 
@@ -170,29 +170,6 @@ def _limits(settings: Settings) -> AdmissionLimits:
         in_flight_per_caller=settings.max_in_flight_per_caller,
         held_bytes=settings.max_held_bytes,
     )
-
-
-async def _poll(models: LoadedModels, interval_s: float, polled: asyncio.Event) -> None:
-    """Poll the registry for new versions and moved aliases at this interval, until the application ends."""
-    loop = asyncio.get_running_loop()
-    while True:
-        began = loop.time()
-        try:
-            await asyncio.to_thread(models.refresh)
-        except Exception:  # the outermost ring of this task: a bug must not end the polling silently
-            logger.exception("refresh failed")
-        polled.set()
-        await asyncio.sleep(max(0.0, began + interval_s - loop.time()))
-
-
-async def _probe(readiness: Readiness, interval_s: float) -> None:
-    """Run the self-check of every model at this interval, until the application ends."""
-    while True:
-        await asyncio.sleep(interval_s)
-        try:
-            await readiness.probe()
-        except Exception:  # as above
-            logger.exception("probe failed")
 
 
 async def _internal_error(scope: Scope, receive: Receive, send: Send) -> None:

@@ -27,6 +27,10 @@ CHECKED_PUSH = [-0.08, 0.0, 0.0]
 Gaussian = tuple[list[float], list[float]]
 
 
+class Panic(BaseException):
+    """A panic of a library in native code. As there, it does not derive from ``Exception``."""
+
+
 @dataclass
 class FakePredictor:
     """A predictor whose mean is -0.1 times the pusher pose. With a context, the angle is the sum of its values.

@@ -16,26 +16,29 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.settings": "",
         "service.processors": "",
         "service.turns": "",
-        "service.observability": "",
+        "service.background": "",
+        "service.observability": "service.background",
         "service.model": "service.errors service.turns",
         "service.pushing": "service.errors service.turns service.model",
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.model service.pushing service.storage",
         "service.schemas": "service.errors service.model service.pushing",
         "service.inference": "service.errors service.turns service.model service.pushing service.storage "
-        "service.registry service.observability",
+        "service.registry service.background service.observability",
         "service.transport": "service.errors service.turns service.processors service.inference service.schemas "
-        "service.observability",
+        "service.background service.observability",
         "service.bulk": "service.errors service.model service.pushing service.storage service.inference",
-        "service.api": "service.errors service.inference service.schemas service.observability service.transport",
+        "service.api": "service.errors service.inference service.schemas service.background service.observability "
+        "service.transport",
         "service.api.v1": "service.errors service.turns service.model service.pushing service.inference "
         "service.schemas service.observability service.transport service.api",
         "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
         "service.transport service.api",
-        "service.app": "service.errors service.settings service.inference service.schemas service.observability "
-        "service.transport service.api service.api.v1 service.api.open_inference",
+        "service.app": "service.errors service.settings service.inference service.schemas service.background "
+        "service.observability service.transport service.api service.api.v1 service.api.open_inference",
         "service.client": "service.errors service.model service.schemas",
-        "service.cli": "service.errors service.settings service.processors service.observability service.model "
+        "service.cli": "service.errors service.settings service.processors service.background service.observability "
+        "service.model "
         "service.storage service.registry service.schemas service.inference service.transport service.bulk "
         "service.api.v1 service.app",
         "training.omnipush": "service.errors service.model service.pushing service.storage",

@@ -7,6 +7,7 @@ from fastapi import Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from prometheus_client import CollectorRegistry
 
+from service.background.supervision import Supervisor
 from service.errors import MissingKeyError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
@@ -24,6 +25,7 @@ class Parts:
 
     models: LoadedModels
     readiness: Readiness
+    supervisor: Supervisor
     keys: Keys
     endpoints: Endpoints
     metrics: CollectorRegistry

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Protocol
 
 import service
+from service.background.supervision import Supervisor
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
 from service.observability.prometheus import Reading, Readings
@@ -30,10 +31,22 @@ class Pool(Protocol):
         ...
 
 
-def gauges(models: LoadedModels, readiness: Readiness, threads: Pool, admission: Traffic) -> Readings:
-    """Return the readings of served models, readiness and requests in progress."""
+def gauges(
+    models: LoadedModels,
+    readiness: Readiness,
+    threads: Pool,
+    admission: Traffic,
+    supervisor: Supervisor,
+    dropped_lines: Mapping[str, int],
+) -> Readings:
+    """Return the readings of served models, readiness, requests in progress, background tasks and the log."""
     return Readings(
-        (*_of_the_process(readiness, threads, admission), *_of_models(models, readiness), *_of_registry(models))
+        (
+            *_of_the_process(readiness, threads, admission),
+            *_of_models(models, readiness),
+            *_of_registry(models),
+            *_of_tasks(supervisor, dropped_lines),
+        )
     )
 
 
@@ -139,6 +152,37 @@ def _of_registry(models: LoadedModels) -> tuple[Reading, ...]:
             "Polls that could not read the registry.",
             (),
             lambda: _one(models.counters.registry_failures),
+            counts=True,
+        ),
+    )
+
+
+def _of_tasks(supervisor: Supervisor, dropped_lines: Mapping[str, int]) -> tuple[Reading, ...]:
+    return (
+        Reading(
+            "cazsl_task_age_seconds",
+            "Time since the last success of a background task, or 0 while it has no work.",
+            ("task",),
+            lambda: [((health.name,), health.age_s()) for health in supervisor.health()],
+        ),
+        Reading(
+            "cazsl_task_late",
+            "1 if a background task has had no success for several of its intervals: it hangs, or fails each time.",
+            ("task",),
+            lambda: [((health.name,), float(health.is_late())) for health in supervisor.health()],
+        ),
+        Reading(
+            "cazsl_task_failures",
+            "Failures of a background task. It was started again after each.",
+            ("task",),
+            lambda: [((health.name,), float(health.failures)) for health in supervisor.health()],
+            counts=True,
+        ),
+        Reading(
+            "cazsl_log_lines_dropped",
+            "Lines of the log that were not written, because too many waited or the stream failed.",
+            ("cause",),
+            lambda: _by_name(dropped_lines),
             counts=True,
         ),
     )

@@ -5,8 +5,9 @@ from typing import Any, Final
 from fastapi import APIRouter, Depends, Request, Response
 
 from service.api.dependencies import may_read_metrics, parts_of, readiness_of, snapshot_of
+from service.background.supervision import TaskHealth
 from service.observability.prometheus import CONTENT_TYPE, render
-from service.schemas.health import LiveBody, ModelCheckBody, ReadyBody
+from service.schemas.health import LiveBody, ModelCheckBody, ReadyBody, TaskBody
 
 _NO_MODEL: Final = ReadyBody(
     ready=False,
@@ -14,6 +15,7 @@ _NO_MODEL: Final = ReadyBody(
     checks=[],
     models={},
     problems=[],
+    tasks=[],
 )
 _NOT_READY: Final[dict[str, Any]] = {
     "description": "not ready: the field reason of the body says why",
@@ -44,10 +46,27 @@ async def ready(request: Request, response: Response) -> ReadyBody:
         for check in readiness.checks()
     ]
     served = {name: models.versions(name) for name in models.names()}
-    return ReadyBody(ready=reason is None, reason=reason, checks=checks, models=served, problems=list(models.problems))
+    return ReadyBody(
+        ready=reason is None,
+        reason=reason,
+        checks=checks,
+        models=served,
+        problems=list(models.problems),
+        tasks=[_task(health) for health in parts_of(request).supervisor.health()],
+    )
 
 
 @metrics_router.get("/metrics")
 async def metrics(request: Request) -> Response:
     """Return the text of a scrape. It is not part of the API: docs/operations.md lists the metrics."""
     return Response(render(parts_of(request).metrics), media_type=CONTENT_TYPE)
+
+
+def _task(health: TaskHealth) -> TaskBody:
+    return TaskBody(
+        name=health.name,
+        age_s=round(health.age_s(), 3),
+        late=health.is_late(),
+        failures=health.failures,
+        error=health.error,
+    )

@@ -17,7 +17,8 @@ from service.cli.terminal import FAILED, echo
 from service.errors import CazslError
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
-from service.observability.logs import configure_logging
+from service.observability.log_writer import LogWriter
+from service.observability.logs import RequestLog, configure_logging, log_uncaught
 from service.registry.location import open_registry, trusted_keys
 from service.transport.connection import connection_class
 from service.transport.draining import DrainingServer
@@ -34,14 +35,16 @@ def serve(**options: Any) -> None:
     stops. `cazsl config` shows every setting.
     """
     settings = configured(options).settings
-    configure_logging(settings.log_level)
+    log = LogWriter()
+    configure_logging(settings.log_level, log)
+    log_uncaught()
     try:
         keys = trusted_keys(settings.require_signature)
         registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     except CazslError as error:
         raise click.ClickException(str(error)) from error
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
-    app = create_app(settings, models, trace=_tracing(settings.otlp_endpoint))
+    app = create_app(settings, models, RequestLog(log), _tracing(settings.otlp_endpoint))
     if sys.stdout.isatty():  # log collectors get JSON lines only
         echo(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.

@@ -1,22 +1,17 @@
 """Readiness: a model is ready if it is loaded, passed its checks, and its last probe was right.
 
-A timer runs the self-check of every loaded model again, in a thread and within a time limit. A model that fails, gives
-another output or does not end is not ready, and becomes ready again once it answers. A registry that cannot be read
-does not change the readiness of a model.
+A timer probes every loaded model again (``probing``). A model that fails, gives another output or does not end is not
+ready, and becomes ready again once it answers. A registry that cannot be read does not change the readiness of a model.
 """
 
-import asyncio
 import logging
 from collections import Counter
 from dataclasses import dataclass
 from typing import Final
 
-from service.errors import CazslError
 from service.inference.loaded_models import LoadedModels
-from service.model.loaded_model import LoadedModel
-from service.model.self_check import check_itself
+from service.inference.probing import Key, Probing
 
-Key = tuple[str, int]
 DRAINING: Final = "SIGTERM was received: running requests are finished; send new ones to another instance"
 
 logger = logging.getLogger(__name__)
@@ -42,9 +37,8 @@ class Readiness:
     def __init__(self, models: LoadedModels, poll_interval_s: float, limit_s: float) -> None:
         self._models = models
         self._poll_interval_s = poll_interval_s
-        self._limit_s = limit_s
         self._reasons: dict[Key, str] = {}
-        self._running: dict[Key, asyncio.Future[float]] = {}
+        self._probing = Probing(limit_s)
         self.failures: Counter[str] = Counter()
         self.draining = False
 
@@ -78,28 +72,16 @@ class Readiness:
     async def probe(self) -> None:
         """Run the self-check of every loaded version once. A failure makes a version not ready, and is not raised."""
         models = self._models.snapshot.models
-        found = {key: await self._probe(key, model) for key, model in models.items()}
-        for key, reason in found.items():
-            if reason is not None:
-                self.failures[key[0]] += 1
-            if reason != self._reasons.get(key):
-                extra = {"model": key[0], "version": key[1], "reason": reason}
-                logger.warning("model is not ready" if reason else "model is ready again", extra=extra)
-        self._reasons = {key: reason for key, reason in found.items() if reason is not None}
+        await self._probing.probe(models, self._settle)
+        self._reasons = {key: reason for key, reason in self._reasons.items() if key in models}
 
-    async def _probe(self, key: Key, model: LoadedModel) -> str | None:
-        """Run one self-check. If the last one did not end yet, await that one instead."""
-        running = self._running.pop(key, None)
-        if running is None:
-            running = asyncio.ensure_future(asyncio.to_thread(check_itself, model.manifest, model.predictor))
-        try:
-            model.cost.renew(await asyncio.wait_for(asyncio.shield(running), self._limit_s))
-        except TimeoutError:
-            self._running[key] = running
-            return f"the self-check did not end within {self._limit_s:g} s"
-        except CazslError as error:
-            return str(error)
-        except Exception:  # a bug is a reason too, and must not end the timer
-            logger.exception("probe failed", extra={"model": key[0], "version": key[1]})
-            return "the self-check failed; the log has the cause"
-        return None
+    def _settle(self, key: Key, reason: str | None) -> None:
+        """Note the result of a probe, and log a change."""
+        if reason is not None:
+            self.failures[key[0]] += 1
+        if reason == self._reasons.get(key):
+            return
+        extra = {"model": key[0], "version": key[1], "reason": reason}
+        logger.warning("model is not ready" if reason else "model is ready again", extra=extra)
+        others = {other: known for other, known in self._reasons.items() if other != key}
+        self._reasons = others if reason is None else others | {key: reason}

@@ -25,6 +25,26 @@ class ModelCheckBody(Body):
     ] = None
 
 
+class TaskBody(Body):
+    """Background task of the service, such as the polling of the registry. It is started again after each failure."""
+
+    name: Annotated[str, Field(description="name of the task", examples=["poll"])]
+    age_s: Annotated[
+        float,
+        Field(description="time since the last success, or 0 while the task has no work, in s", examples=[1.25]),
+    ]
+    late: Annotated[
+        bool, Field(description="true if the task hangs or fails each time, for a long time", examples=[False])
+    ]
+    failures: Annotated[int, Field(description="number of failures since the start", examples=[0])]
+    error: Annotated[
+        str | None,
+        Field(
+            description="type of the last failure, unless a success followed. The log has its cause.", examples=[None]
+        ),
+    ] = None
+
+
 class ReadyBody(Body):
     """Readiness: whether the service can answer predictions, and the problems of the registry."""
 
@@ -58,5 +78,12 @@ class ReadyBody(Body):
         Field(
             description="published versions that are not served, with the reason. Versions served before stay served.",
             examples=[["push-indicator@2 is broken and not served: model.onnx: the sha256 differs"]],
+        ),
+    ]
+    tasks: Annotated[
+        list[TaskBody],
+        Field(
+            description="the background tasks of the service. They do not change readiness.",
+            examples=[[{"name": "poll", "age_s": 1.25, "late": False, "failures": 0, "error": None}]],
         ),
     ]
