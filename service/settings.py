@@ -1,12 +1,24 @@
-"""Settings of the service. Each is ``CAZSL_<NAME>`` in the environment, and each has a default that works."""
+"""Settings of the service. Each is ``CAZSL_<NAME>`` in the environment, and each has a default that works.
 
+A value without text is not set: ``CAZSL_HOST=`` means the default, as in a compose file that passes a variable on.
+White space and line feeds at the ends are cut off, as files of secrets have them.
+"""
+
+import re
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 PREFIX: Final = "CAZSL_"
+# Controls, separators of lines, and halves of characters, from bytes that are not UTF-8.
+NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+
+
+def is_set(value: object) -> bool:
+    """Return True if a value of the environment, a file or an option counts: it is not None, and a text has letters."""
+    return bool(value.strip()) if isinstance(value, str) else value is not None
 
 
 class Settings(BaseSettings):
@@ -121,3 +133,29 @@ class Settings(BaseSettings):
     log_level: Annotated[
         Literal["DEBUG", "INFO", "WARNING", "ERROR"], Field(description="Lowest level that is logged.")
     ] = "INFO"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_empty(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Leave out values without text, so that their defaults count."""
+        return {name: value for name, value in values.items() if is_set(value)}
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _clean(cls, value: object) -> object:
+        """Cut white space from the ends of a text, and refuse control characters within."""
+        if isinstance(value, bool):
+            raise ValueError("Input should be a number or a text")
+        if not isinstance(value, str):
+            return value
+        if NOT_TEXT.search(value.strip()):
+            raise ValueError("Input should be text in UTF-8 without line feeds and control characters")
+        return value.strip()
+
+    @field_validator("otlp_endpoint")
+    @classmethod
+    def _check_endpoint(cls, value: str) -> str:
+        """Refuse an address that no exporter can reach."""
+        if value and not re.fullmatch(r"https?://[^\s/]+\S*", value):
+            raise ValueError("Input should begin with http:// or https:// and a host")
+        return value

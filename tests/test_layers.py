@@ -14,6 +14,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
     for package, below in {
         "service.errors": "",
         "service.settings": "",
+        "service.files": "",
         "service.processors": "",
         "service.turns": "",
         "service.background": "",
@@ -21,13 +22,13 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.model": "service.errors service.turns",
         "service.pushing": "service.errors service.turns service.model",
         "service.storage": "service.errors service.model",
-        "service.registry": "service.errors service.model service.pushing service.storage",
+        "service.registry": "service.errors service.files service.model service.pushing service.storage",
         "service.schemas": "service.errors service.model service.pushing",
         "service.inference": "service.errors service.turns service.model service.pushing service.storage "
         "service.registry service.background service.observability",
-        "service.transport": "service.errors service.turns service.processors service.inference service.schemas "
-        "service.background service.observability",
-        "service.bulk": "service.errors service.model service.pushing service.storage service.inference",
+        "service.transport": "service.errors service.files service.turns service.processors service.inference "
+        "service.schemas service.background service.observability",
+        "service.bulk": "service.errors service.files service.model service.pushing service.storage service.inference",
         "service.api": "service.errors service.inference service.schemas service.background service.observability "
         "service.transport",
         "service.api.v1": "service.errors service.turns service.model service.pushing service.inference "
@@ -37,19 +38,18 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.app": "service.errors service.settings service.inference service.schemas service.background "
         "service.observability service.transport service.api service.api.v1 service.api.open_inference",
         "service.client": "service.errors service.model service.schemas",
-        "service.cli": "service.errors service.settings service.processors service.background service.observability "
-        "service.model "
-        "service.storage service.registry service.schemas service.inference service.transport service.bulk "
-        "service.api.v1 service.app",
-        "training.omnipush": "service.errors service.model service.pushing service.storage",
+        "service.cli": "service.errors service.settings service.files service.processors service.background "
+        "service.observability service.model service.storage service.registry service.schemas service.inference "
+        "service.transport service.bulk service.api.v1 service.app",
+        "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
         "training.simulation": "service.errors service.processors service.pushing training.omnipush",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
-        "training.fitting": "service.errors service.model service.pushing service.storage training.omnipush "
-        "training.networks",
+        "training.fitting": "service.errors service.files service.model service.pushing service.storage "
+        "training.omnipush training.networks",
         "training.publishing": "service.errors service.model service.pushing service.registry training.omnipush "
         "training.networks training.fitting",
-        "training.paper": "service.errors service.model service.storage service.bulk training.omnipush "
+        "training.paper": "service.errors service.files service.model service.storage service.bulk training.omnipush "
         "training.networks training.fitting",
         "training.recipes": "",
         "training.cli": "service.errors service.processors service.model service.registry service.bulk service.cli "
@@ -64,10 +64,10 @@ EXCEPTIONS: Mapping[str, frozenset[str]] = {
     )
 }
 # Of the lower packages the trainer takes these modules only.
-TRAINING_TAKES: Mapping[str, str] = {
+TRAINING_TAKES: Mapping[str, str | tuple[str, ...]] = {
     "service.storage": "service.storage.disk",
     "service.bulk": "service.bulk.executors",
-    "service.cli": "service.cli.terminal",
+    "service.cli": ("service.cli.terminal", "service.cli.command_line"),
 }
 # Libraries that every module of some packages may use.
 LIBRARIES: Mapping[str, frozenset[str]] = {

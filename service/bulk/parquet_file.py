@@ -11,6 +11,7 @@ import pyarrow.parquet as pq
 
 from service.bulk.chunk import CHUNK_ROWS, CONTEXT_COLUMNS, POSE_COLUMNS, PREDICTED_COLUMNS, Chunk
 from service.errors import DataError
+from service.files import check_regular
 from service.model.manifest import Manifest
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import VISUAL_SIZE
@@ -30,8 +31,9 @@ class PushFile:
         """
         self.path = path
         try:
+            check_regular(path, path.stat().st_mode)  # to open a pipe would hang
             self._file = pq.ParquetFile(path)
-        except (OSError, pa.ArrowException) as error:
+        except (OSError, UnicodeError, pa.ArrowException) as error:
             reason = getattr(error, "strerror", None) or str(error).splitlines()[0]
             raise DataError(
                 f"{path}: received a file that cannot be read as Parquet ({reason}); accepted is a Parquet file"

@@ -2,6 +2,7 @@
 
 ``main`` is the group of all commands. ``serve``, ``config``, ``predict`` (with ``predict_parquet``), ``keys``,
 ``models`` and ``model_changes`` hold one command or group each. ``configuration`` merges options, environment and
-file, and ``terminal`` has the options, the output and the exit statuses that commands share. Calls point downward:
-commands import any other package of the service, and no package imports them.
+file. ``command_line`` has the form of commands, options and arguments, and turns every fault into one line.
+``terminal`` writes all output. The trainer's commands use these two. Calls point downward: commands import any other
+package of the service, and no other package of the service imports them.
 """

@@ -6,18 +6,18 @@ from typing import Any, Final
 
 import click
 
+from service.cli.command_line import FILE, errors_as_one_line, json_option, option
 from service.cli.configuration import Configuration, configure
-from service.cli.terminal import echo, errors_as_one_line, json_option, print_json
-from service.errors import CazslError
+from service.cli.terminal import echo, print_json
 
 _OPTIONS: Final = (
-    click.option("--host", help="Address to listen on. [default: 127.0.0.1]"),
-    click.option("--port", type=int, help="Port to listen on. 0 picks a free port. [default: 8000]"),
-    click.option("--registry", help="Registry of models: a folder, or s3://bucket/prefix. [default: models]"),
-    click.option(
+    option("--host", help="Address to listen on. [default: 127.0.0.1]"),
+    option("--port", type=int, help="Port to listen on. 0 picks a free port. [default: 8000]"),
+    option("--registry", help="Registry of models: a folder, or s3://bucket/prefix. [default: models]"),
+    option(
         "--config",
         "path",
-        type=click.Path(path_type=Path),
+        type=FILE,
         help="TOML file of settings, such as port = 9000. [default: the file that CAZSL_CONFIG names]",
     ),
 )
@@ -25,8 +25,8 @@ _OPTIONS: Final = (
 
 def settings_options(command: Callable[..., None]) -> Callable[..., None]:
     """Add the options of a command that takes settings."""
-    for option in reversed(_OPTIONS):
-        command = option(command)
+    for add in reversed(_OPTIONS):
+        command = add(command)
     return command
 
 
@@ -34,13 +34,10 @@ def configured(options: dict[str, Any]) -> Configuration:
     """Return the configuration that results from the options of a command.
 
     Raises:
-        click.ClickException: a setting is unknown or invalid. The message is one line that names it.
+        SettingsError: a setting is unknown or invalid. The message is one line that names it.
     """
     path: Path | None = options.pop("path")
-    try:
-        return configure(options, path)
-    except CazslError as error:
-        raise click.ClickException(str(error)) from error
+    return configure(options, path)
 
 
 @click.command("config")

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from pydantic import SecretStr, ValidationError
-from pydantic_settings import EnvSettingsSource, TomlConfigSettingsSource
+from pydantic_settings import EnvSettingsSource
 
 from service.errors import SettingsError
-from service.settings import PREFIX, Settings
+from service.files import read_text
+from service.settings import PREFIX, Settings, is_set
 
 CONFIG_NAME: Final = f"{PREFIX}CONFIG"
 # Environment variables of this project that are not settings of the service.
@@ -54,13 +55,13 @@ class Configuration:
 
 
 def configure(options: Mapping[str, Any], path: Path | None = None) -> Configuration:
-    """Merge options that are not None, the environment, and a file. The default file is that of CAZSL_CONFIG.
+    """Merge options, the environment, and a file. Values without text do not count. CAZSL_CONFIG names a default file.
 
     Raises:
         SettingsError: the file cannot be read, a name is unknown, or a value is invalid.
     """
-    if path is None and os.environ.get(CONFIG_NAME):
-        path = Path(os.environ[CONFIG_NAME])
+    named = os.environ.get(CONFIG_NAME, "").strip()
+    path = Path(named) if path is None and named else path
     _check_environment()
     given: dict[str, Any] = {}
     origins = {name: Origin("default") for name in Settings.model_fields}
@@ -68,7 +69,7 @@ def configure(options: Mapping[str, Any], path: Path | None = None) -> Configura
     in_environment = EnvSettingsSource(Settings)()
     for kind, values in (("file", in_file), ("environment", in_environment), ("option", options)):
         for name, value in values.items():
-            if value is not None:
+            if is_set(value):
                 given[name] = value
                 origins[name] = Origin(kind, _source_name(kind, name, path))
     try:
@@ -94,19 +95,23 @@ def _source_name(kind: str, name: str, path: Path | None) -> str:
 def _check_environment() -> None:
     known = {PREFIX + name.upper() for name in Settings.model_fields} | OTHER_NAMES
     for name in sorted(os.environ):
-        if name.upper().startswith(PREFIX) and name.upper() not in known:
+        if name.upper().startswith(PREFIX) and name.upper() not in known and is_set(os.environ[name]):
             advice = _LINK_ADVICE if _SERVICE_LINK.match(name) else _nearest(name, known)
             raise SettingsError(f"{name}: unknown setting. `cazsl config` lists all settings.{advice}")
 
 
 def _read(path: Path) -> dict[str, Any]:
     """Read the settings of a TOML file."""
-    if not path.is_file():
-        raise SettingsError(f"{path}: there is no such file. Give a TOML file of settings.")
     try:
-        found = TomlConfigSettingsSource(Settings, path)()
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        found = tomllib.loads(read_text(path))
+    except FileNotFoundError as error:
+        raise SettingsError(f"{path}: there is no such file. Give a TOML file of settings.") from error
+    except OSError as error:
+        raise SettingsError(f"{path}: cannot be read as TOML: {error.strerror}.") from error
+    except tomllib.TOMLDecodeError as error:
         raise SettingsError(f"{path}: cannot be read as TOML: {error}.") from error
+    except RecursionError as error:
+        raise SettingsError(f"{path}: is nested too deep. A file of settings has names and values only.") from error
     for name in found:
         if name not in Settings.model_fields:
             advice = _nearest(name, set(Settings.model_fields))
@@ -129,4 +134,5 @@ def _first_fault(error: ValidationError, origins: Mapping[str, Origin]) -> str:
     given = fault.get("input")
     link = _LINK_ADVICE if isinstance(given, str) and given.startswith("tcp://") else ""
     received = "" if isinstance(given, SecretStr) else f" (received {str(masked(given))[:80]!r})"
-    return f"{where}: {fault['msg']}{received}. Meaning: {field.description}{link}"
+    wrong = fault["msg"].removeprefix("Value error, ")
+    return f"{where}: {wrong}{received}. Meaning: {field.description}{link}"

@@ -2,7 +2,8 @@
 
 import click
 
-from service.cli.terminal import echo, errors_as_one_line
+from service.cli.command_line import argument, errors_as_one_line, option
+from service.cli.terminal import echo
 from service.transport.keys import Grant, Scope
 
 
@@ -12,8 +13,8 @@ def keys() -> None:
 
 
 @keys.command("new")
-@click.argument("name")
-@click.option(
+@argument("name")
+@option(
     "--scope",
     "scopes",
     type=click.Choice([scope.value for scope in Scope]),

@@ -3,6 +3,7 @@
 import click
 
 import service
+from service.cli.command_line import HELP, CommandLine
 from service.cli.config import config
 from service.cli.keys import keys
 from service.cli.model_changes import CHANGES
@@ -11,7 +12,7 @@ from service.cli.predict import predict
 from service.cli.serve import serve
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=CommandLine, context_settings=HELP)
 @click.version_option(service.__version__, prog_name="cazsl")
 def main() -> None:
     """Predict the pose of a pushed object, with its uncertainty.

@@ -6,7 +6,15 @@ from typing import Final
 
 import click
 
-from service.cli.terminal import REFUSED, echo, errors_as_one_line, json_option, print_json, registry_option
+from service.cli.command_line import (
+    FILE_THAT_EXISTS,
+    argument,
+    errors_as_one_line,
+    json_option,
+    option,
+    registry_option,
+)
+from service.cli.terminal import REFUSED, echo, print_json
 from service.errors import RegistryError
 from service.model.domain import Verdict
 from service.model.predictor import OnnxPredictor
@@ -16,21 +24,21 @@ from service.registry.location import open_registry
 from service.registry.registry import Registry
 from service.storage.history import Event
 
-alias_option = click.option("--alias", default=DEFAULT_ALIAS, show_default=True, help="Alias to move.")
-reason_option = click.option("--reason", help="Reason, kept in the history.")
+alias_option = option("--alias", default=DEFAULT_ALIAS, show_default=True, help="Alias to move.")
+reason_option = option("--reason", help="Reason, kept in the history.")
 
 
 @click.command("promote")
-@click.argument("name")
-@click.argument("version", type=click.IntRange(min=1))
+@argument("name")
+@argument("version", type=click.IntRange(min=1))
 @alias_option
 @reason_option
-@click.option(
+@option(
     "--expect",
     type=click.IntRange(min=0),
     help="Move only if the alias names this version. 0: only if there is no such alias.",
 )
-@click.option("--force", is_flag=True, help="Move even if a gate refuses. Needs --reason.")
+@option("--force", is_flag=True, help="Move even if a gate refuses. Needs --reason.")
 @json_option
 @registry_option
 @errors_as_one_line
@@ -84,7 +92,7 @@ def _print_move(name: str, event: Event) -> None:
 
 
 @click.command("rollback")
-@click.argument("name")
+@argument("name")
 @alias_option
 @reason_option
 @json_option
@@ -100,7 +108,7 @@ def rollback(name: str, alias: str, reason: str | None, as_json: bool, registry:
 
 
 @click.command("remove")
-@click.argument("reference", metavar="NAME@VERSION|NAME@ALIAS")
+@argument("reference", metavar="NAME@VERSION|NAME@ALIAS")
 @reason_option
 @json_option
 @registry_option
@@ -121,9 +129,9 @@ def remove(reference: str, reason: str | None, as_json: bool, registry: str) -> 
 
 
 @click.command("prune")
-@click.argument("name")
-@click.option("--keep", type=click.IntRange(min=1), required=True, help="Number of newest versions to keep.")
-@click.option("--dry-run", is_flag=True, help="Print the versions that would be removed, and keep them.")
+@argument("name")
+@option("--keep", type=click.IntRange(min=1), required=True, help="Number of newest versions to keep.")
+@option("--dry-run", is_flag=True, help="Print the versions that would be removed, and keep them.")
 @reason_option
 @json_option
 @registry_option
@@ -143,10 +151,10 @@ def prune(name: str, keep: int, dry_run: bool, reason: str | None, as_json: bool
 
 
 @click.command("sign")
-@click.argument("reference")
-@click.option(
+@argument("reference")
+@option(
     "--key",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=FILE_THAT_EXISTS,
     required=True,
     help="Private key in PEM format.",
 )
@@ -175,8 +183,8 @@ def sign(reference: str, key: Path, as_json: bool, registry: str) -> None:
 
 
 @click.command("push")
-@click.argument("reference")
-@click.argument("destination")
+@argument("reference")
+@argument("destination")
 @json_option
 @registry_option
 @errors_as_one_line
@@ -186,8 +194,8 @@ def push(reference: str, destination: str, as_json: bool, registry: str) -> None
 
 
 @click.command("pull")
-@click.argument("reference")
-@click.argument("source")
+@argument("reference")
+@argument("source")
 @json_option
 @registry_option
 @errors_as_one_line

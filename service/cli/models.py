@@ -9,7 +9,8 @@ from typing import Any
 
 import click
 
-from service.cli.terminal import FAILED, echo, echo_lines, errors_as_one_line, json_option, print_json, registry_option
+from service.cli.command_line import HELP, argument, errors_as_one_line, json_option, option, registry_option
+from service.cli.terminal import FAILED, echo, echo_lines, print_json
 from service.errors import CazslError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
@@ -23,7 +24,7 @@ from service.storage.base import RegistryFinding
 from service.storage.history import Event
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(context_settings=HELP)
 def models() -> None:
     """Inspect and change the registry.
 
@@ -73,7 +74,7 @@ def list_models(registry: str, as_json: bool) -> None:
 
 
 @models.command("show")
-@click.argument("reference")
+@argument("reference")
 @json_option
 @registry_option
 @errors_as_one_line
@@ -88,7 +89,7 @@ def show(reference: str, as_json: bool, registry: str) -> None:
 
 
 @models.command("verify")
-@click.argument("reference", required=False)
+@argument("reference", required=False)
 @json_option
 @registry_option
 @errors_as_one_line
@@ -115,9 +116,9 @@ def verify(reference: str | None, as_json: bool, registry: str) -> None:
 
 
 @models.command("diff")
-@click.argument("first")
-@click.argument("second")
-@click.option("--all", "everything", is_flag=True, help="List equal fields too.")
+@argument("first")
+@argument("second")
+@option("--all", "everything", is_flag=True, help="List equal fields too.")
 @json_option
 @registry_option
 @errors_as_one_line
@@ -171,7 +172,7 @@ def _change(before: Any, after: Any) -> str:
 
 
 @models.command("history")
-@click.argument("name")
+@argument("name")
 @json_option
 @registry_option
 @errors_as_one_line
@@ -204,8 +205,8 @@ def _event_text(event: Event) -> str:
 
 
 @models.command("at")
-@click.argument("reference", metavar="NAME@ALIAS")
-@click.argument("when")
+@argument("reference", metavar="NAME@ALIAS")
+@argument("when")
 @json_option
 @registry_option
 @errors_as_one_line

@@ -8,9 +8,10 @@ import click
 import pydantic
 
 from service.api.v1.queries import ask_model
+from service.cli.command_line import FILE, argument, errors_as_one_line, option, registry_option
 from service.cli.models import load_reference
 from service.cli.predict_parquet import predict_parquet
-from service.cli.terminal import errors_as_one_line, print_json, registry_option
+from service.cli.terminal import print_json
 from service.inference.snapshot import DEFAULT_MODELS
 from service.model.tensors import ContextKind
 from service.registry.location import open_registry
@@ -21,24 +22,24 @@ POSE_PARTS: Final = 3
 
 
 @click.command()
-@click.argument("push", nargs=-1, metavar="[DESCRIPTOR] X_M Y_M ANGLE_RAD")
-@click.option(
+@argument("push", nargs=-1, metavar="[DESCRIPTOR] X_M Y_M ANGLE_RAD")
+@option(
     "--parquet",
     "files",
     nargs=2,
-    type=click.Path(path_type=Path),
+    type=FILE,
     metavar="IN OUT",
     help="Predict every row of the Parquet file IN into the new file OUT.",
 )
-@click.option(
+@option(
     "--jobs",
     type=click.IntRange(1),
     help="With --parquet: number of threads. [default: one per processor]",
 )
-@click.option(
+@option(
     "--ray", "ray_address", metavar="ADDRESS", help="With --parquet: the Ray cluster that predicts, HOST:PORT or auto."
 )
-@click.option("--model", "reference", help="NAME, NAME@ALIAS or NAME@VERSION. [default: the champion for this context]")
+@option("--model", "reference", help="NAME, NAME@ALIAS or NAME@VERSION. [default: the champion for this context]")
 @registry_option
 @errors_as_one_line
 def predict(

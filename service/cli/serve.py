@@ -14,7 +14,6 @@ from starlette.types import ASGIApp
 from service.app import create_app
 from service.cli.config import configured, settings_options
 from service.cli.terminal import FAILED, echo
-from service.errors import CazslError
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.observability.log_writer import LogWriter
@@ -38,11 +37,8 @@ def serve(**options: Any) -> None:
     log = LogWriter()
     configure_logging(settings.log_level, log)
     log_uncaught()
-    try:
-        keys = trusted_keys(settings.require_signature)
-        registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
-    except CazslError as error:
-        raise click.ClickException(str(error)) from error
+    keys = trusted_keys(settings.require_signature)
+    registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
     app = create_app(settings, models, RequestLog(log), _tracing(settings.otlp_endpoint))
     if sys.stdout.isatty():  # log collectors get JSON lines only

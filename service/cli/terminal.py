@@ -1,4 +1,4 @@
-"""Output of all commands, of the trainer's too, and the options ``--registry`` and ``--json``.
+"""Output of all commands, of the trainer's too, and their exit statuses.
 
 ``echo`` and ``echo_lines`` are the only ways to a terminal. They escape every character that a terminal could obey,
 hide or reorder, because names and texts come from registries, files and folders of other people.
@@ -10,19 +10,17 @@ Exit statuses, which scripts can rely on:
 2  wrong command line                 5  no such model, version or alias
 """
 
-import functools
+import errno
 import json
 import os
 import sys
-from collections.abc import Callable
-from typing import Any, Final, ParamSpec
+from pathlib import Path
+from typing import Any, Final
 
 import click
 
-from service.cli.configuration import CONFIG_NAME, configure
 from service.errors import CazslError, ConflictError, InUseError, UnknownModelError
 
-P = ParamSpec("P")
 FAILED: Final = 1
 REFUSED: Final = 3
 _STATUSES: Final = ((ConflictError, 4), (InUseError, 4), (UnknownModelError, 5))
@@ -43,7 +41,7 @@ def echo(text: str, err: bool = False) -> None:
     """Print one line to standard output, or to standard error.
 
     Raises:
-        OSError: the stream is closed or full.
+        click.ClickException: the stream is closed or full.
     """
     _write(printable(text), err)
 
@@ -52,7 +50,7 @@ def echo_lines(text: str, err: bool = False) -> None:
     """Print a text of several lines, such as a table or a card. Its line feeds are kept, and no other control.
 
     Raises:
-        OSError: the stream is closed or full.
+        click.ClickException: the stream is closed or full.
     """
     _write("\n".join(map(printable, text.split("\n"))), err)
 
@@ -67,47 +65,50 @@ def confirm(question: str) -> bool:
     return click.confirm(printable(question), err=True)
 
 
+def open_streams() -> None:
+    """Replace standard streams that are closed, as by ``>&-``, before a file of ours gets the number of one.
+
+    Writing to the one for standard output fails, as it should: the output is lost. That for standard error takes the
+    lines of libraries and logs. ``echo`` refuses it.
+    """
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDONLY)  # the lowest free number
+    streams = vars(sys)
+    if streams["stdout"] is None:
+        sys.stdout = open(os.open(os.devnull, os.O_RDONLY), "w", encoding="utf-8")  # noqa: PTH123, SIM115
+    if streams["stderr"] is None:
+        sys.stderr = Path(os.devnull).open("w", encoding="utf-8")  # noqa: SIM115
+    if streams["stdin"] is None:
+        sys.stdin = Path(os.devnull).open(encoding="utf-8")  # noqa: SIM115
+
+
+def release_streams() -> bool:
+    """Return True if all output was written. Otherwise drop the rest, which Python would try to write at its end."""
+    complete = True
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            complete = False
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return complete
+
+
 def _write(text: str, err: bool) -> None:
     """Write a text. A character that the encoding of the stream lacks is escaped: LANG=C has ASCII alone."""
-    encoding = getattr(sys.stderr if err else sys.stdout, "encoding", None) or "utf-8"
-    click.echo(text.encode(encoding, "backslashreplace").decode(encoding), err=err)
+    stream, name = (sys.stderr, "standard error") if err else (sys.stdout, "standard output")
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    try:
+        if getattr(stream, "name", None) == os.devnull:
+            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
+        click.echo(text.encode(encoding, "backslashreplace").decode(encoding), err=err)
+    except OSError as error:
+        raise click.ClickException(f"{name}: {error.strerror}") from error
 
 
 def status_of(error: CazslError) -> int:
     """Return the exit status of an error."""
     return next((status for kind, status in _STATUSES if isinstance(error, kind)), FAILED)
-
-
-def _default_registry() -> str:
-    """Return the registry of the settings file, for commands without --registry and CAZSL_REGISTRY."""
-    try:
-        return configure({}).settings.registry if os.environ.get(CONFIG_NAME) else "models"
-    except CazslError as error:
-        raise click.ClickException(str(error)) from error
-
-
-registry_option = click.option(
-    "--registry",
-    envvar="CAZSL_REGISTRY",
-    default=_default_registry,
-    show_default="models",
-    help="Registry of models: a folder, or s3://bucket/prefix.",
-)
-json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of text.")
-
-
-def errors_as_one_line(command: Callable[P, None]) -> Callable[P, None]:
-    """Print a ``CazslError`` of a command as one line, or as one JSON document, and exit with its status."""
-
-    @functools.wraps(command)
-    def run(*args: P.args, **kwargs: P.kwargs) -> None:
-        try:
-            command(*args, **kwargs)
-        except CazslError as error:
-            if kwargs.get("as_json"):
-                print_json({"code": error.code, "detail": str(error)})
-            else:
-                echo(f"Error: {error}", err=True)
-            sys.exit(status_of(error))
-
-    return run

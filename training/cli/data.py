@@ -5,15 +5,15 @@ from typing import Final
 
 import click
 
+from service.cli.command_line import ANY_PATH, FOLDER, argument, option
 from service.cli.terminal import echo, print_json
-from training.cli.errors import one_line_errors
 from training.inspection.inspection import inspect
 from training.inspection.text import inspection_document, inspection_lines
 from training.omnipush.files import Variant
 from training.omnipush.pushes import export_variants, read_folder
 
 VARIANTS: Final = {"raw": (Variant.RAW,), "normalised": (Variant.NORMALISED,), "both": tuple(Variant)}
-folder_argument = click.argument("folder", type=click.Path(path_type=Path))
+folder_argument = argument("folder", type=ANY_PATH)
 
 
 @click.group("data")
@@ -29,8 +29,7 @@ def data() -> None:
 
 @data.command("check", short_help="Check that a folder is complete, like Omnipush, and fit to train on.")
 @folder_argument
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of the table.")
-@one_line_errors
+@option("--json", "as_json", is_flag=True, help="Print one JSON document instead of the table.")
 def check(folder: Path, as_json: bool) -> None:
     """Check a copy of Omnipush, or a folder in its format, and print its content and its faults.
 
@@ -50,12 +49,11 @@ def check(folder: Path, as_json: bool) -> None:
 
 @data.command("report", short_help="Write a page with statistics, histograms and a gallery of pushes.")
 @folder_argument
-@click.option(
+@option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Folder of the page and its images. [default: FOLDER/report]",
 )
-@one_line_errors
 def report(folder: Path, out: Path | None) -> None:
     """Write report.md, histograms.png and pushes.png of one surface's pushes in FOLDER.
 
@@ -72,15 +70,14 @@ def report(folder: Path, out: Path | None) -> None:
 
 @data.command("export", short_help="Write a folder again, raw, normalised or both.")
 @folder_argument
-@click.argument("target", type=click.Path(path_type=Path))
-@click.option(
+@argument("target", type=ANY_PATH)
+@option(
     "--variant",
     type=click.Choice(list(VARIANTS)),
     default="both",
     show_default=True,
     help="raw: metres and radians. normalised: minus the published mean, divided by the published deviation.",
 )
-@one_line_errors
 def export(folder: Path, target: Path, variant: str) -> None:
     """Write one surface's pushes of FOLDER into TARGET as Omnipush was published, with their declared source."""
     count = export_variants(folder, target, VARIANTS[variant])

@@ -3,13 +3,14 @@
 import click
 
 import service
+from service.cli.command_line import HELP, CommandLine
 from training.cli.data import data
 from training.cli.reproduction import reproduce
 from training.cli.runs import evaluate, fit_recipe, publish
 from training.cli.simulation import draw_images, simulate_pushes
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110})
+@click.group(cls=CommandLine, context_settings=HELP)
 @click.version_option(service.__version__, prog_name="cazsl-train")
 def main() -> None:
     """Train pushing models and publish them.

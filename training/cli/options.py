@@ -2,29 +2,28 @@
 
 from pathlib import Path
 
-import click
-
+from service.cli.command_line import FOLDER, argument, option
 from training.omnipush.layout import DEFAULT_DATA
 
-data_option = click.option(
+data_option = option(
     "--data",
     "folder",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=DEFAULT_DATA,
     show_default=True,
     help="Folder of pushes in Omnipush's format.",
 )
-views_option = click.option(
+views_option = option(
     "--views",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Folder of top-down views, for visual contexts. [default: top-down_view beside the data]",
 )
-registry_option = click.option(
+registry_option = option(
     "--registry",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     envvar="CAZSL_REGISTRY",
     default=Path("models"),
     show_default=True,
     help="Folder of the model registry.",
 )
-run_argument = click.argument("run", type=click.Path(file_okay=False, path_type=Path))
+run_argument = argument("run", type=FOLDER)

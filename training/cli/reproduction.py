@@ -7,9 +7,9 @@ import click
 import torch
 
 from service.bulk.executors import choose_executor
+from service.cli.command_line import FILE_THAT_EXISTS, FOLDER, argument, option
 from service.cli.terminal import echo
 from service.processors import processors
-from training.cli.errors import one_line_errors
 from training.cli.options import data_option, views_option
 from training.cli.runs import RUNS
 from training.networks.methods import METHODS
@@ -18,37 +18,36 @@ from training.paper.options import ReproductionOptions
 
 
 @click.command("reproduce")
-@click.argument("names", nargs=-1, metavar="[NAME]...", type=click.Choice(EXPERIMENTS))
-@click.option("--all", "everything", is_flag=True, help="Every experiment, in the paper's order.")
-@click.option("--epochs", type=click.IntRange(1), help="Epochs per run. [default: the paper's]")
-@click.option("--seeds", type=click.IntRange(1), help="Seeds per row. [default: 3; gaussian-process 10, as the paper]")
-@click.option(
+@argument("names", nargs=-1, metavar="[NAME]...", type=click.Choice(EXPERIMENTS))
+@option("--all", "everything", is_flag=True, help="Every experiment, in the paper's order.")
+@option("--epochs", type=click.IntRange(1), help="Epochs per run. [default: the paper's]")
+@option("--seeds", type=click.IntRange(1), help="Seeds per row. [default: 3; gaussian-process 10, as the paper]")
+@option(
     "--cooling",
     type=click.IntRange(0),
     default=0,
     metavar="EPOCHS",
     help="Lower the learning rate to zero over the last EPOCHS. [default: 0, a constant rate as in the paper]",
 )
-@click.option("--skip", type=click.Choice([*METHODS]), multiple=True, help="Row to leave out. ANP is the slowest one.")
-@click.option(
+@option("--skip", type=click.Choice([*METHODS]), multiple=True, help="Row to leave out. ANP is the slowest one.")
+@option(
     "--out",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=RUNS / "reproduce",
     show_default=True,
     help="Output folder, with a folder per experiment.",
 )
-@click.option(
+@option(
     "--jobs", type=click.IntRange(1), help="Runs at once on this machine. [default: one per processor; one on a GPU]"
 )
-@click.option("--ray", "ray_address", metavar="ADDRESS", help="Train on this Ray cluster instead: HOST:PORT, or auto.")
-@click.option(
+@option("--ray", "ray_address", metavar="ADDRESS", help="Train on this Ray cluster instead: HOST:PORT, or auto.")
+@option(
     "--known",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    type=FILE_THAT_EXISTS,
     help="figures.json of an earlier reproduction of the same data, epochs and code. Its runs are not repeated.",
 )
 @data_option
 @views_option
-@one_line_errors
 def reproduce(folder: Path, **options: Any) -> None:
     """Rebuild tables of the paper beside the paper's own figures.
 

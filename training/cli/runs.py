@@ -6,10 +6,10 @@ from typing import Final
 
 import click
 
+from service.cli.command_line import FOLDER, argument, option
 from service.cli.terminal import echo, echo_lines
 from service.model.reference import DEFAULT_ALIAS, is_alias
 from service.registry.registry import NOWHERE, Registry
-from training.cli.errors import one_line_errors
 from training.cli.options import data_option, registry_option, run_argument, views_option
 from training.fitting.evaluation import Evaluation
 from training.fitting.evaluation import evaluate as evaluate_network
@@ -25,12 +25,11 @@ RUNS: Final = Path("runs")
 
 
 @click.command("fit")
-@click.argument("recipe")
+@argument("recipe")
 @data_option
 @views_option
-@click.option("--run", type=click.Path(file_okay=False, path_type=Path), help="Run folder. [default: runs/RECIPE]")
-@click.option("--set-up", type=click.Choice([*SET_UPS]), help="Set-up to train on instead of the recipe's.")
-@one_line_errors
+@option("--run", type=FOLDER, help="Run folder. [default: runs/RECIPE]")
+@option("--set-up", type=click.Choice([*SET_UPS]), help="Set-up to train on instead of the recipe's.")
 def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, set_up: str | None) -> None:
     """Train a RECIPE: a recipe that ships (push-indicator, push-visual, push-none, paper) or a .toml file.
 
@@ -51,7 +50,6 @@ def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, 
 @run_argument
 @data_option
 @views_option
-@one_line_errors
 def evaluate(run: Path, folder: Path, views: Path | None) -> None:
     """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects."""
     recipe, network, _ = load_run(run)
@@ -71,16 +69,15 @@ def evaluate(run: Path, folder: Path, views: Path | None) -> None:
 @data_option
 @views_option
 @registry_option
-@click.option(
+@option(
     "--alias", default=DEFAULT_ALIAS, show_default=True, help="Alias to point to the version if it does not exist yet."
 )
-@click.option("--no-alias", is_flag=True, help="Set no alias, even for the first version.")
-@click.option(
+@option("--no-alias", is_flag=True, help="Set no alias, even for the first version.")
+@option(
     "--measured",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="For a RUN on all objects: the run of the same recipe that held some out and gives the figures.",
 )
-@one_line_errors
 def publish(
     run: Path, folder: Path, views: Path | None, registry: Path, alias: str, no_alias: bool, measured: Path | None
 ) -> None:

@@ -7,8 +7,8 @@ from typing import Final
 
 import click
 
+from service.cli.command_line import FILE, FOLDER, argument, option
 from service.cli.terminal import echo
-from training.cli.errors import one_line_errors
 from training.inspection.statistics import compare_statistics, missed
 from training.inspection.text import statistics_lines
 from training.omnipush.layout import SIMULATED
@@ -24,14 +24,11 @@ DEFAULT_CAMERA_VIEWS: Final = SIMULATED / f"{VIEWS_FOLDER}-camera"
 
 
 @click.command("simulate")
-@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), default=SIMULATED)
-@click.option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="Surface.")
-@click.option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
-@click.option(
-    "--threads", type=click.IntRange(1, 1024), help="Threads. Files do not depend on it. [default: all cores]"
-)
-@one_line_errors
+@argument("folder", type=FOLDER, default=SIMULATED)
+@option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="Surface.")
+@option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
+@option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
+@option("--threads", type=click.IntRange(1, 1024), help="Threads. Files do not depend on it. [default: all cores]")
 def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads: int | None) -> None:
     """Simulate the default datasets in Omnipush's file format: FOLDER/abs, FOLDER/plywood, FOLDER/top-down_view.
 
@@ -63,15 +60,14 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
 
 
 @click.command("images")
-@click.argument("folder", type=click.Path(file_okay=False, path_type=Path), required=False)
-@click.option("--camera", is_flag=True, help="Views as a camera would see them: light, table, blur, noise, JPEG.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the effects of --camera.")
-@click.option(
+@argument("folder", type=FOLDER, required=False)
+@option("--camera", is_flag=True, help="Views as a camera would see them: light, table, blur, noise, JPEG.")
+@option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the effects of --camera.")
+@option(
     "--gallery",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Draw only this PNG: some objects as drawn, as a camera sees them, and as a model's input.",
 )
-@one_line_errors
 def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
     """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
 
@@ -79,6 +75,8 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
     views are kept. The files depend on object and seed alone.
     """
     if gallery is not None:
+        if gallery.suffix.lower() != ".png":
+            raise click.BadParameter(f"{gallery} is not the name of a PNG file. Send one that ends in .png.")
         from training.inspection.view_gallery import draw_gallery  # slow to import, as matplotlib is
 
         draw_gallery(gallery, seed=seed)

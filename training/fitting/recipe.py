@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from service.errors import DataError
+from service.files import read_text
 from service.model.reference import is_name
 from service.model.tensors import ContextKind
 from training.networks.methods import METHODS, Method
@@ -76,13 +77,14 @@ def read_recipe(name_or_path: str) -> Recipe:
     """
     path = Path(name_or_path)
     shipped = resources.files("training.recipes").joinpath(f"{path.name}.toml")
-    if path.suffix == ".toml" and path.is_file():
-        content = path.read_bytes()
-    elif path.name == name_or_path and shipped.is_file():
-        content = shipped.read_bytes()
-    else:
+    if path.suffix == ".toml" and path.exists():
+        try:
+            return parse_recipe(read_text(path), name_or_path)
+        except OSError as error:
+            raise DataError(f"{name_or_path}: cannot be read: {error.strerror}") from error
+    if path.name != name_or_path or not shipped.is_file():
         raise DataError(f"there is no recipe {name_or_path}; give one of {', '.join(recipe_names())} or a .toml file")
-    return parse_recipe(content.decode("utf-8", "replace"), name_or_path)
+    return parse_recipe(shipped.read_text(encoding="utf-8"), name_or_path)
 
 
 def parse_recipe(text: str, where: str) -> Recipe:
@@ -95,6 +97,8 @@ def parse_recipe(text: str, where: str) -> Recipe:
         values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{where}: not TOML: {error}") from error
+    except RecursionError as error:
+        raise DataError(f"{where}: nested too deep; a recipe has names and values only") from error
     return parse_recipe_record(values, where)
 
 

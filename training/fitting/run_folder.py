@@ -22,6 +22,7 @@ from torch import Tensor
 
 import service
 from service.errors import DataError
+from service.files import check_regular, read_text
 from service.storage.disk import replace_whole
 from training.fitting.recipe import CIRCULAR, Recipe, parse_recipe_record
 from training.fitting.samples import TrainingData
@@ -67,16 +68,21 @@ def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:
         DataError: the run is missing or not finished.
     """
     try:
-        config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))
+        config = json.loads(read_text(folder / CONFIG_FILE))
+        check_regular(folder / WEIGHTS_FILE, (folder / WEIGHTS_FILE).stat().st_mode)
+        record, origin = dict(config["recipe"]), dict(config["data"])
         weights: dict[str, Tensor] = load_file(folder / WEIGHTS_FILE)
-    except (OSError, ValueError, SafetensorError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, SafetensorError) as error:
         raise DataError(
             f"{folder} is not a finished run; finish it with: cazsl-train fit RECIPE --run {folder}"
         ) from error
-    recipe = parse_recipe_record(config["recipe"], str(folder / CONFIG_FILE))
+    recipe = parse_recipe_record(record, str(folder / CONFIG_FILE))
     network = build_network(recipe, PUSH_SHAPES[recipe.context_kind])
-    network.load_state_dict(weights)
-    return recipe, network.eval(), config["data"]
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError as error:
+        raise DataError(f"{folder / WEIGHTS_FILE} holds the weights of another network; fit the run again") from error
+    return recipe, network.eval(), origin
 
 
 def open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
@@ -95,7 +101,7 @@ def open_run(folder: Path, recipe: Recipe, data: TrainingData) -> None:
     path = folder / CONFIG_FILE
     if not path.exists():
         replace_whole(path, text.encode())
-    elif path.read_text(encoding="utf-8") != text:
+    elif read_text(path) != text:
         raise DataError(f"{path} records another run (recipe, data or code version); choose another --run or remove it")
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from service.errors import DataError
+from service.files import read_file, read_text
 from training.omnipush.npy_files import write_whole, writing
 
 DATASET_FILE: Final = "dataset.json"
@@ -22,7 +23,7 @@ def declare_dataset(folder: Path, declaration: dict[str, Any]) -> None:
     path = folder / DATASET_FILE
     text = json.dumps(declaration, indent=2, sort_keys=True) + "\n"
     if path.exists():
-        if path.read_bytes() != text.encode():
+        if read_file(path) != text.encode():
             raise DataError(f"{path} declares another dataset; give an empty folder, or remove this one")
     elif any(folder.glob("*.npy")):
         raise DataError(f"{folder} already holds files that are not declared as simulated; give an empty folder")
@@ -39,7 +40,7 @@ def copy_declaration(folder: Path, target: Path) -> None:
     path = folder / DATASET_FILE
     if path.is_file():
         read_source(folder)
-        declare_dataset(target, json.loads(path.read_text(encoding="utf-8")))
+        declare_dataset(target, json.loads(read_text(path)))
         return
     if target.is_dir() and any(target.glob("*.npy")):
         raise DataError(f"{target} already holds pushes; give an empty folder")
@@ -66,7 +67,7 @@ def read_declared(folder: Path, key: str, default: str) -> str:
     if not path.is_file():
         return default
     try:
-        return str(json.loads(path.read_text(encoding="utf-8"))[key])
+        return str(json.loads(read_text(path))[key])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(
             f"{path} is not JSON with a key '{key}'; restore or remove it, or name another folder"

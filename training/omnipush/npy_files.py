@@ -5,7 +5,6 @@ in every error. A writer leaves the whole file or no file.
 """
 
 import io
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.errors import DataError
+from service.files import read_file
 from service.storage.disk import replace_whole
 
 AnyArray = npt.NDArray[Any]
@@ -37,17 +37,14 @@ def read_content(path: Path, kind: NpyKind) -> bytes:
         DataError: The file cannot be read or is too large.
     """
     try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            content = b"" if size > kind.max_bytes else file.read(kind.max_bytes + 1)
+        size = path.stat().st_size
+        if size <= kind.max_bytes:
+            return read_file(path, kind.max_bytes)
     except OSError as error:
         raise DataError(f"{path} cannot be read ({error.strerror}); check its permissions, or {kind.remedy}") from error
-    if max(size, len(content)) > kind.max_bytes:
-        raise DataError(
-            f"{path} has {max(size, len(content))} bytes; at most {kind.max_bytes} are accepted "
-            f"({kind.usual_size}); {kind.remedy}"
-        )
-    return content
+    raise DataError(
+        f"{path} has {size} bytes; at most {kind.max_bytes} are accepted ({kind.usual_size}); {kind.remedy}"
+    )
 
 
 def parse_npy(path: Path, content: bytes, kind: NpyKind) -> AnyArray:

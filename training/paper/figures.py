@@ -11,11 +11,13 @@ import torch
 
 import service
 from service.errors import DataError
+from service.files import read_text
 from training.fitting.evaluation import Evaluation
 from training.paper.experiments import Cell, Experiment
 from training.paper.reproduction import Result
 
 FIGURES_FILE: Final = "figures.json"
+_LARGEST_FIGURES: Final = 64 << 20  # bytes
 
 
 def raw_figures(experiment: Experiment, command: str, seeds: int, epochs: int, results: Sequence[Result]) -> str:
@@ -41,7 +43,7 @@ def read_figures(path: Path, experiment: Experiment, epochs: int) -> dict[tuple[
         DataError: the file holds no figures, or those of another experiment, number of epochs, cooling or code version.
     """
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(read_text(path, _LARGEST_FIGURES))
         found = (
             *(document[key] for key in ("experiment", "epochs", "code_version")),
             document.get("cooling_epochs", 0),
