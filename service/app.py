@@ -22,6 +22,9 @@ from service.api.v1 import routes as v1
 from service.api.v1.endpoints import ENDPOINTS, SINGLE
 from service.background.supervision import Supervisor
 from service.background.threads import PurposeThreads
+from service.connections.connection import BoundedConnection
+from service.connections.house import ConnectionLimits, House
+from service.connections.shortcut_connection import connection_class
 from service.errors import ForbiddenError, MissingKeyError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
@@ -60,12 +63,14 @@ class Service(FastAPI):
         rings: the outermost ring.
         requests: metrics of requests, and of refusals that happen before there is a request.
         shortcut: answers single pushes for connections. None if every request must pass all rings.
+        connections: class of connections, which the server instantiates.
     """
 
     parts: Parts
     rings: ASGIApp
     requests: RequestMetrics
     shortcut: Shortcut | None = None
+    connections: type[BoundedConnection]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, from the outermost ring inwards."""
@@ -73,7 +78,14 @@ class Service(FastAPI):
 
     async def framework(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request inside of the rings."""
-        await super().__call__(scope, receive, send)
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await super().__call__(scope, receive, send)
+            return
+        asked = {**scope, "method": "GET"}  # the connection leaves out the body
+        try:
+            await super().__call__(asked, receive, send)
+        finally:
+            scope["route"] = asked.get("route")
 
     def openapi(self) -> dict[str, Any]:
         """Return the OpenAPI document, which is made once."""
@@ -116,9 +128,16 @@ def create_app(
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
     install_error_handlers(app)
     telemetry = RequestTelemetry(admission, _internal_error, log, app.requests)
+
+    def refuse(code: str) -> str:
+        """Count a refusal that happens before there is a request. Return the id of its answer."""
+        app.requests.refuse(code)
+        return telemetry.new_id()
+
     app.rings = trace(telemetry)
     if app.rings is telemetry:  # a ring around all others must see every request
         app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
+    app.connections = connection_class(House(_connection_limits(settings), admission.held, refuse), app.shortcut)
     return app
 
 
@@ -169,6 +188,16 @@ def _limits(settings: Settings) -> AdmissionLimits:
         in_flight=settings.max_in_flight,
         in_flight_per_caller=settings.max_in_flight_per_caller,
         held_bytes=settings.max_held_bytes,
+    )
+
+
+def _connection_limits(settings: Settings) -> ConnectionLimits:
+    return ConnectionLimits(
+        head_s=settings.body_timeout_s,
+        idle_s=settings.keep_alive_s,
+        write_s=settings.answer_timeout_s,
+        connections=settings.max_connections,
+        unsent_bytes=settings.max_unsent_bytes,
     )
 
 

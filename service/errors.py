@@ -99,6 +99,12 @@ class MalformedBodyError(RequestError):
     code, title = "malformed_body", "The body is malformed"
 
 
+class MalformedRequestError(RequestError):
+    """The head, or the framing of the body, is not HTTP as RFC 9110 and 9112 have it."""
+
+    code, title = "malformed_request", "Bad Request"
+
+
 class MissingKeyError(RequestError):
     """An API key is required, and none or an unknown one was sent."""
 

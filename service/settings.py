@@ -65,12 +65,47 @@ class Settings(BaseSettings):
             gt=0, le=3600, description="Maximum time to receive the head of a request, and again for its body, in s."
         ),
     ] = 10.0
+    keep_alive_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=3600,
+            description="Time for which an idle connection is kept, in s. "
+            "It must be longer than that of a load balancer in front.",
+        ),
+    ] = 75.0
+    answer_timeout_s: Annotated[
+        float,
+        Field(
+            gt=0,
+            le=3600,
+            description="Time in which 4 KiB/s of a waiting answer have to leave, in s. Slower clients are cut off.",
+        ),
+    ] = 10.0
+    max_connections: Annotated[
+        int,
+        Field(
+            ge=1,
+            le=1_000_000,
+            description="Maximum number of connections. An idle one makes room for a new one. "
+            "It needs as many file descriptors.",
+        ),
+    ] = 2000
+    max_unsent_bytes: Annotated[
+        int,
+        Field(
+            ge=1 << 20,
+            le=1 << 40,
+            description="Maximum bytes of all answers that their clients have not read. Excess clients are cut off.",
+        ),
+    ] = 64 << 20
     max_held_bytes: Annotated[
         int,
         Field(
             ge=1 << 20,
             le=1 << 40,
-            description="Maximum bytes of all request bodies in memory. Excess requests get 503.",
+            description="Maximum bytes of all requests in memory. One caller may hold three quarters. "
+            "Excess requests get 503.",
         ),
     ] = 256 << 20
     max_in_flight: Annotated[
@@ -82,7 +117,7 @@ class Settings(BaseSettings):
             ge=0,
             le=100_000,
             description="Maximum concurrent requests per API key (per client address if keys are off). "
-            "Excess requests get 429. 0 disables the limit.",
+            "Excess requests get 429. 0: three quarters of CAZSL_MAX_IN_FLIGHT.",
         ),
     ] = 0
     max_waiting: Annotated[

@@ -7,8 +7,12 @@ from starlette.types import ASGIApp
 from uvicorn import Config
 from uvicorn.server import ServerState
 
-from service.transport.connection import BoundedConnection, connection_class
+from service.connections.connection import BoundedConnection
+from service.connections.house import ConnectionLimits, House
+from service.connections.shortcut_connection import connection_class
+from service.errors import OverloadedError
 from service.transport.fast_path import Shortcut
+from service.transport.shares import Shares
 
 _MAX_ITERATIONS = 5000
 _BUSY_ITERATIONS = 50
@@ -21,6 +25,8 @@ class FakeTransport(asyncio.Transport):
         super().__init__({"peername": ("192.0.2.1", 5)})
         self.sent: list[bytes] = []
         self.closed = False
+        self.ended = False
+        self.unsent = 0
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
         """Record one call."""
@@ -38,6 +44,25 @@ class FakeTransport(asyncio.Transport):
         """Close the transport."""
         self.closed = True
 
+    def abort(self) -> None:
+        """Close the transport."""
+        self.closed = True
+
+    def can_write_eof(self) -> bool:
+        """Return True: the sending half can be closed."""
+        return True
+
+    def write_eof(self) -> None:
+        """Close the sending half."""
+        self.ended = True
+
+    def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Ignore the limits. A test alone decides when a client reads."""
+
+    def get_write_buffer_size(self) -> int:
+        """Return the bytes that the client has not read."""
+        return self.unsent
+
     def pause_reading(self) -> None:
         """Do not read. A test alone decides when bytes arrive."""
 
@@ -45,15 +70,33 @@ class FakeTransport(asyncio.Transport):
         """Do not read. A test alone decides when bytes arrive."""
 
 
+def house_of(
+    head_s: float = 3600.0,
+    idle_s: float = 3600.0,
+    write_s: float = 3600.0,
+    connections: int = 100,
+    unsent_bytes: int = 1 << 20,
+    held_bytes: int = 1 << 20,
+) -> House:
+    """Return limits that no test reaches, but those that it sets."""
+    held = Shares(
+        held_bytes, held_bytes, lambda limit: OverloadedError(f"{limit} bytes"), lambda _: OverloadedError("")
+    )
+    limits = ConnectionLimits(head_s, idle_s, write_s, connections, unsent_bytes)
+    return House(limits, held, lambda code: "an-id")
+
+
 class FakeConnection:
     """A connection to an app. Create and use it inside an event loop."""
 
-    def __init__(self, app: ASGIApp, shortcut: Shortcut | None, head_s: float = 3600.0) -> None:
+    def __init__(
+        self, app: ASGIApp, shortcut: Shortcut | None, head_s: float = 3600.0, house: House | None = None
+    ) -> None:
         config = Config(app, log_config=None, access_log=False, proxy_headers=False)
         config.load()
         self.state = ServerState()
         self.transport = FakeTransport()
-        kind = connection_class(head_s, lambda code: None, shortcut)
+        kind = connection_class(house or house_of(head_s=head_s), shortcut)
         self.protocol: BoundedConnection = kind(config, self.state, {})
         self.protocol.connection_made(self.transport)
 

@@ -36,7 +36,6 @@ from service.pushing.contexts import VISUAL_SIZE
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 from service.settings import Settings
-from service.transport.connection import connection_class
 from tests.fakes import draft_manifest
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -124,8 +123,7 @@ def serve_in_thread(models: LoadedModels, **settings: Any) -> Iterator[httpx2.Cl
     """Run a service over these models, which may be fakes, in a thread of this process. Yield a client."""
     chosen = Settings(poll_interval_s=3600, **settings)
     app = create_app(chosen, models, RequestLog(io.StringIO()))
-    connection = connection_class(chosen.body_timeout_s, app.requests.refuse)
-    server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None, access_log=False, http=connection))
+    server = uvicorn.Server(uvicorn.Config(app, port=0, log_config=None, access_log=False, http=app.connections))
     thread = Thread(target=server.run)
     thread.start()
     try:

@@ -28,6 +28,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.registry service.background service.observability",
         "service.transport": "service.errors service.files service.turns service.processors service.inference "
         "service.schemas service.background service.observability",
+        "service.connections": "service.errors service.transport",
         "service.bulk": "service.errors service.files service.model service.pushing service.storage service.inference",
         "service.api": "service.errors service.inference service.schemas service.background service.observability "
         "service.transport",
@@ -36,7 +37,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
         "service.transport service.api",
         "service.app": "service.errors service.settings service.inference service.schemas service.background "
-        "service.observability service.transport service.api service.api.v1 service.api.open_inference",
+        "service.observability service.transport service.connections service.api service.api.v1 "
+        "service.api.open_inference",
         "service.client": "service.errors service.model service.schemas",
         "service.cli": "service.errors service.settings service.files service.processors service.background "
         "service.observability service.model service.storage service.registry service.schemas service.inference "
@@ -80,6 +82,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.schemas": "numpy orjson pydantic pydantic_core",
         "service.inference": "numpy",
         "service.transport": "orjson starlette",
+        "service.connections": "httptools starlette uvicorn",
         "service.bulk": "numpy pyarrow",
         "service.api": "fastapi prometheus_client starlette",
         "service.api.v1": "numpy orjson pydantic_core starlette",
@@ -110,7 +113,6 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.storage.bucket": "obstore",
         "service.registry.signing": "model_signing",
         "service.observability.tracing": "opentelemetry",
-        "service.transport.connection": "uvicorn",
         "service.transport.draining": "uvicorn",
         "service.api.v1.routes": "fastapi",
         "service.api.v1.uploads": "python_multipart",

@@ -19,13 +19,13 @@ import pytest
 from httpx2 import Client
 from PIL import Image
 
+from service.connections.head_clock import MAX_HEAD_BYTES
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor, PredictorFactory
 from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry
 from service.schemas.contexts import IMAGE_EXAMPLE
 from service.transport.endpoints import LIGHT_BYTES, LIGHT_PUSHES
-from service.transport.head_clock import MAX_HEAD_BYTES
 from service.transport.keys import Grant, Scope
 from service.transport.threads import threads_beside_the_loop
 from tests.documented_api import Json, document, examples_of, listed_errors

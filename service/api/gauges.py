@@ -16,8 +16,15 @@ Rows = list[tuple[tuple[str, ...], float]]
 class Traffic(Protocol):
     """Counts of admitted requests. ``transport.admission.Admission`` keeps them."""
 
-    in_flight: int
-    held_bytes: int
+    @property
+    def in_flight(self) -> int:
+        """Return the number of requests that are being answered."""
+        ...
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes of requests in memory."""
+        ...
 
 
 class Pool(Protocol):
@@ -66,7 +73,12 @@ def _of_the_process(readiness: Readiness, threads: Pool, admission: Traffic) -> 
             (),
             lambda: _one(readiness.draining),
         ),
-        Reading("cazsl_requests_in_flight", "Requests that are being answered.", (), lambda: _one(admission.in_flight)),
+        Reading(
+            "cazsl_requests_in_flight",
+            "Requests that are being answered, without those for health.",
+            (),
+            lambda: _one(admission.in_flight),
+        ),
         Reading(
             "cazsl_request_bytes_held", "Bytes of request bodies in memory.", (), lambda: _one(admission.held_bytes)
         ),

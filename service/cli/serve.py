@@ -19,7 +19,6 @@ from service.model.predictor import OnnxPredictor
 from service.observability.log_writer import LogWriter
 from service.observability.logs import RequestLog, configure_logging, log_uncaught
 from service.registry.location import open_registry, trusted_keys
-from service.transport.connection import connection_class
 from service.transport.draining import DrainingServer
 
 SWITCH_INTERVAL_S: Final = 0.0001
@@ -52,7 +51,7 @@ def serve(**options: Any) -> None:
         log_config=None,
         access_log=False,
         server_header=False,
-        http=connection_class(settings.body_timeout_s, app.requests.refuse, app.shortcut),
+        http=app.connections,
         proxy_headers=False,  # the client address is that of the connection
         timeout_graceful_shutdown=settings.grace_s,
     )

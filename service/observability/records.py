@@ -19,7 +19,6 @@ class RequestRecord:
         request_id: the caller's id if it is safe to log, else one of ours.
         method: HTTP method.
         trace: trace id and span id of the caller (W3C Trace Context), if it sent them.
-        caller: whom the request counts for: ``key:NAME`` or ``address:IP``. It is not logged.
         route: template of the route that answered, never the path that was requested.
         code: code of the problem that was answered. Empty for other answers.
         model, version, pushes: those of the prediction. Empty and 0 for other answers.
@@ -32,7 +31,6 @@ class RequestRecord:
     request_id: str
     method: str
     trace: tuple[str, str] | None = None
-    caller: str = ""
     route: str = UNKNOWN_ROUTE
     code: str = ""
     model: str = ""

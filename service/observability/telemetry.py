@@ -87,10 +87,13 @@ class RequestTelemetry:
                 request_id = str(value, "ascii")
             elif name == _TRACE_HEADER and trace is None:
                 trace = _trace_of(value)
-        # an id of ours is random per process, and counts within it
-        record = RequestRecord(request_id or f"{self._process}{next(self._count):012x}", scope["method"], trace)
+        record = RequestRecord(request_id or self.new_id(), scope["method"], trace)
         attach_record(scope, record)
         return record
+
+    def new_id(self) -> str:
+        """Return an id of ours, which is random per process and counts within it."""
+        return f"{self._process}{next(self._count):012x}"
 
     def end(self, record: RequestRecord, duration_s: float) -> None:
         """Count and log a request that was answered, or whose client left."""

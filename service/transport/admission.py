@@ -1,21 +1,25 @@
-"""Admission: bodies are complete, of bounded size and in bounded time, and concurrent requests are bounded.
+"""Admission: heads are valid, keys are known, and bodies and concurrent requests are bounded, in sum and per caller.
 
 The rings behind this one get each body in one piece. A slow client delays no other client: its request counts as in
-flight only once its body is complete. A request over a limit is refused at once, so that its client can send it to
-another instance.
+flight from the end of its body to the begin of its answer. A request over a limit is refused at once, so that its
+client can send it to another instance. Routes of health have a quota of their own: they answer under any load.
 """
 
 import asyncio
-from collections import Counter
 from dataclasses import dataclass
+from typing import Final, Self
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.errors import BodyTooLargeError, CazslError, OverloadedError, SlowBodyError, TooManyRequestsError
-from service.observability.records import record_of
 from service.transport.callers import Callers
-from service.transport.endpoints import header
+from service.transport.heads import checked_headers, declared_length, head_bytes
 from service.transport.problems import problem_response
+from service.transport.shares import Shares, usual_share
+
+HEALTH: Final = frozenset(("/livez", "/readyz", "/v2/health/live", "/v2/health/ready", "/metrics"))
+_HEALTH_QUOTA: Final = 64
+_HEALTH_BODY_BYTES: Final = 4096
 
 
 @dataclass(frozen=True)
@@ -26,8 +30,8 @@ class AdmissionLimits:
         body_bytes: maximum bytes of a body.
         body_s: maximum time until a body is complete, in s.
         in_flight: maximum number of concurrent requests.
-        in_flight_per_caller: maximum number of concurrent requests of one caller. 0: no limit.
-        held_bytes: maximum bytes of all bodies in memory.
+        in_flight_per_caller: maximum number of concurrent requests of one caller. 0: three quarters of all.
+        held_bytes: maximum bytes of all requests in memory. One caller may hold three quarters.
     """
 
     body_bytes: int
@@ -52,6 +56,62 @@ class WholeBody:
             return await self._receive()
         content, self._content = self._content, None
         return {"type": "http.request", "body": content, "more_body": False}
+
+
+class InFlight:
+    """A request in flight, as a ``send`` of ASGI. It no longer counts once its answer begins to leave."""
+
+    __slots__ = ("_caller", "_counted", "_send")
+
+    def __init__(self, counted: Shares, caller: str, send: Send) -> None:
+        counted.take(caller)
+        self._counted: Shares | None = counted
+        self._caller = caller
+        self._send = send
+
+    async def __call__(self, message: Message) -> None:
+        """Send a message."""
+        self.end()
+        await self._send(message)
+
+    def end(self) -> None:
+        """Count the request no longer."""
+        counted, self._counted = self._counted, None
+        if counted is not None:
+            counted.give(self._caller)
+
+
+class Hold:
+    """The bytes of one request that are in memory, to be counted among those of all."""
+
+    __slots__ = ("_caller", "_count", "_held")
+
+    def __init__(self, held: Shares | None, caller: str) -> None:
+        self._held = held  # None: they are not counted
+        self._caller = caller
+        self._count = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def add(self, count: int) -> None:
+        """Hold more bytes.
+
+        Raises:
+            OverloadedError: there are too many. These are not held.
+        """
+        if self._held is not None:
+            self._held.take(self._caller, count)
+            self._count += count
+
+    def release(self) -> None:
+        """Release all bytes."""
+        count, self._count = self._count, 0
+        if self._held is not None and count:
+            self._held.give(self._caller, count)
 
 
 class BodyDeadline:
@@ -99,16 +159,48 @@ class BodyDeadline:
 
 
 class Admission:
-    """A ring that reads the body of every request within the limits, and counts the requests in flight."""
+    """A ring that checks the head and reads the body of every request within the limits, and counts those in flight.
+
+    Attributes:
+        held: bytes of requests in memory. Connections count those of incomplete heads here too.
+        body_bytes: maximum bytes of a body.
+        body_s: maximum time until a body is complete, in s.
+    """
 
     def __init__(self, app: ASGIApp, limits: AdmissionLimits, callers: Callers) -> None:
         self._app = app
         self._callers = callers
-        self._limits = limits
+        self.body_bytes = limits.body_bytes
+        self.body_s = limits.body_s
         self._deadline = BodyDeadline(limits.body_s)
-        self.in_flight = 0
-        self.held_bytes = 0
-        self._running: Counter[str] = Counter()
+        self._in_flight = Shares(
+            limits.in_flight,
+            limits.in_flight_per_caller or usual_share(limits.in_flight),
+            lambda limit: OverloadedError(f"{limit} requests in flight"),
+            TooManyRequestsError,
+        )
+        self.held = Shares(
+            limits.held_bytes,
+            usual_share(limits.held_bytes),
+            lambda limit: OverloadedError(f"{limit} buffered bytes of request bodies"),
+            lambda limit: OverloadedError(f"{limit} buffered bytes of the request bodies of one caller"),
+        )
+        self._health = Shares(
+            _HEALTH_QUOTA,
+            usual_share(_HEALTH_QUOTA),
+            lambda limit: OverloadedError(f"{limit} requests for health"),
+            TooManyRequestsError,
+        )
+
+    @property
+    def in_flight(self) -> int:
+        """Return the number of requests that are being answered."""
+        return self._in_flight.total
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes of requests in memory."""
+        return self.held.total
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, or refuse it."""
@@ -116,24 +208,26 @@ class Admission:
             await self._app(scope, receive, send)
             return
         try:
-            caller = record_of(scope).caller = self._callers.admit(scope)
-            content = await self._read(scope, receive)
+            scope["headers"] = checked_headers(scope)
+            caller = self._callers.admit(scope)
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
             return
-        if content is None:  # the client has left
-            return
-        try:
-            self._enter(caller)
-        except CazslError as error:
-            await problem_response(scope, error)(scope, receive, send)
-        else:
+        is_health = scope["path"] in HEALTH
+        with Hold(None if is_health else self.held, caller) as hold:
             try:
-                await self._app(scope, WholeBody(content, receive), send)
+                content = await self._read(scope, receive, hold, _HEALTH_BODY_BYTES if is_health else self.body_bytes)
+                if content is None:  # the client has left
+                    return
+                admitted = InFlight(self._health if is_health else self._in_flight, caller, send)
+            except CazslError as error:
+                hold.release()
+                await problem_response(scope, error)(scope, receive, send)
+                return
+            try:
+                await self._app(scope, WholeBody(content, receive), admitted)
             finally:
-                self._leave(caller)
-        finally:
-            self.held_bytes -= len(content)
+                admitted.end()
 
     def admit(self, scope: Scope) -> str:
         """Admit a request that is answered at once, so that it never counts as in flight. Return its caller.
@@ -143,60 +237,37 @@ class Admission:
             OverloadedError, TooManyRequestsError: there are too many others.
         """
         caller = self._callers.admit(scope)
-        self._check(caller)
+        self._in_flight.check(caller)
         return caller
 
-    def _check(self, caller: str) -> None:
-        limits = self._limits
-        if self.in_flight >= limits.in_flight:
-            raise OverloadedError(f"{limits.in_flight} requests in flight")
-        if limits.in_flight_per_caller and self._running[caller] >= limits.in_flight_per_caller:
-            raise TooManyRequestsError(limits.in_flight_per_caller)
+    def knows(self, scope: Scope) -> bool:
+        """Return True if the caller of this head may ask. Otherwise this ring refuses the request."""
+        try:
+            self._callers.admit(scope)
+        except CazslError:
+            return False
+        return True
 
-    def _enter(self, caller: str) -> None:
-        self._check(caller)
-        self._running[caller] += 1
-        self.in_flight += 1
-
-    def _leave(self, caller: str) -> None:
-        self.in_flight -= 1
-        self._running[caller] -= 1
-        if not self._running[caller]:
-            del self._running[caller]
-
-    async def _read(self, scope: Scope, receive: Receive) -> bytes | None:
-        """Return the complete body, counted among the held bytes, or None if the client left.
+    async def _read(self, scope: Scope, receive: Receive, hold: Hold, limit_bytes: int) -> bytes | None:
+        """Return the complete body, which is held with its head, or None if the client left.
 
         Raises:
-            BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit. Its bytes are no longer held.
+            BodyTooLargeError, SlowBodyError, OverloadedError: it is over a limit.
         """
-        limits = self._limits
-        if declared_length(scope) > limits.body_bytes:
-            raise BodyTooLargeError(limits.body_bytes)
+        if declared_length(scope) > limit_bytes:
+            raise BodyTooLargeError(limit_bytes)
+        hold.add(head_bytes(scope))
         parts: list[bytes] = []
         size, more = 0, True
         with self._deadline:
-            try:
-                while more:
-                    message = await receive()
-                    if message["type"] != "http.request":
-                        self.held_bytes -= size
-                        return None
-                    part, more = message.get("body", b""), message.get("more_body", False)
-                    parts.append(part)
-                    size += len(part)
-                    self.held_bytes += len(part)
-                    if size > limits.body_bytes:
-                        raise BodyTooLargeError(limits.body_bytes)
-                    if self.held_bytes > limits.held_bytes:
-                        raise OverloadedError(f"{limits.held_bytes} buffered bytes of request bodies")
-            except BaseException:
-                self.held_bytes -= size
-                raise
+            while more:
+                message = await receive()
+                if message["type"] != "http.request":
+                    return None
+                part, more = message.get("body", b""), message.get("more_body", False)
+                parts.append(part)
+                size += len(part)
+                if size > limit_bytes:
+                    raise BodyTooLargeError(limit_bytes)
+                hold.add(len(part))
         return parts[0] if len(parts) == 1 else b"".join(parts)
-
-
-def declared_length(scope: Scope) -> int:
-    """Return the declared length of the body in bytes, or 0 if none is declared."""
-    length = header(scope["headers"], b"content-length")
-    return int(length[:18]) if length is not None and length.isdigit() else 0

@@ -10,7 +10,7 @@ from typing import Final
 
 from starlette.types import Scope
 
-from service.observability.records import record_of
+from service.errors import CazslError, ForbiddenError, MissingKeyError
 from service.transport.endpoints import header
 from service.transport.keys import Keys
 from service.transport.keys import Scope as KeyScope
@@ -37,26 +37,40 @@ class Callers:
     def admit(self, scope: Scope) -> str:
         """Return the caller of a request by its head: ``key:NAME``, or ``address:IP`` if no key is needed.
 
+        The answer is kept with the request, so that a key is checked once.
+
         Raises:
             MissingKeyError: the request has no key, or an unknown one.
             ForbiddenError: its key lacks the scope of the path.
         """
+        state = scope.setdefault("state", {})
+        known: str | CazslError | None = state.get("caller")
+        if known is None:
+            known = state["caller"] = self._caller(scope)
+        if isinstance(known, CazslError):
+            raise known
+        return known
+
+    def _caller(self, scope: Scope) -> str | CazslError:
         needed = needed_scope(scope["path"]) if self._keys.wanted else None
         if needed is not None:
-            grant = self._keys.admit(header(scope["headers"], b"authorization"), needed)
+            try:
+                grant = self._keys.admit(header(scope["headers"], b"authorization"), needed)
+            except (MissingKeyError, ForbiddenError) as error:
+                return error
             if grant is not None:
                 return f"key:{grant.name}"
         client = scope.get("client")
-        return _caller_at(client[0] if client else "")
+        return caller_at(client[0] if client else "")
 
 
 def caller_of(scope: Scope) -> str:
-    """Return the caller of a request that was admitted, or an empty text."""
-    return record_of(scope).caller
+    """Return the caller of a request that was admitted."""
+    return str(scope["state"]["caller"])
 
 
 @lru_cache(maxsize=1024)
-def _caller_at(host: str) -> str:
+def caller_at(host: str) -> str:
     """Return the caller at an address. A connection that has none, such as a Unix socket, is of one caller."""
     try:
         address = ipaddress.ip_address(host)

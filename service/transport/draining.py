@@ -16,8 +16,7 @@ from typing import Final
 
 import uvicorn
 
-from service.transport.connection import CLOSE
-
+CLOSE: Final = (b"connection", b"close")  # among the headers of every answer once the service is to end
 _QUEUE_S: Final = 0.05
 
 

@@ -8,18 +8,19 @@ the same ``Endpoints``, so their answers are the same to the byte.
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.errors import CazslError
+from service.errors import CazslError, SlowBodyError
 from service.inference.micro_batching import Gaussian
 from service.inference.query import Answer, Query
 from service.observability.records import RequestRecord, record_of
 from service.observability.telemetry import RequestTelemetry, id_header
-from service.transport.admission import Admission, declared_length
+from service.transport.admission import Admission
+from service.transport.callers import caller_of
 from service.transport.endpoints import LIGHT_BYTES, NO_PARAMETERS, Endpoint, Endpoints, Headers, HttpRequest
 from service.transport.problems import internal_error, problem_response
 
@@ -52,7 +53,7 @@ class FastPath:
         record.route = endpoint.path
         content = (await receive())["body"]  # all of it: admission has read it
         try:
-            asked = HttpRequest(scope["headers"], content, parameters, record.caller)
+            asked = HttpRequest(scope["headers"], content, parameters, caller_of(scope))
             answer = await self._endpoints.answer(endpoint, asked)
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
@@ -73,7 +74,7 @@ class ShortcutRequest:
 
     scope: Scope
     began_s: float
-    body: bytearray = field(default_factory=bytearray)
+    body: bytes = b""
 
 
 class Shortcut:
@@ -89,16 +90,23 @@ class Shortcut:
     ) -> None:
         self._endpoint = endpoint
         self._target = endpoint.path.encode()
+        self._longest = min(LIGHT_BYTES, admission.body_bytes)
         self._endpoints = endpoints
         self._admission = admission
         self._telemetry = telemetry
 
-    def open(self, target: bytes, scope: Scope) -> ShortcutRequest | None:
-        """Return the request of the head of a POST to this target, or None if the head is unusual."""
-        if target != self._target or not _is_plain(scope["headers"]):
+    def open(self, target: bytes, scope: Scope, length: int) -> ShortcutRequest | None:
+        """Return the request of the head of a POST to this target, or None if the head is unusual.
+
+        Args:
+            target: target of the request.
+            scope: its scope.
+            length: length of its body in bytes.
+        """
+        if target != self._target or not 0 < length <= self._longest or not _is_plain(scope["headers"]):
             return None
         scope["path"] = self._endpoint.path  # uvicorn sets it only for requests that it passes to the application
-        return ShortcutRequest(scope, time.perf_counter()) if 0 < declared_length(scope) <= LIGHT_BYTES else None
+        return ShortcutRequest(scope, time.perf_counter()) if self._admission.knows(scope) else None
 
     def answer(self, request: ShortcutRequest, reply: Reply, leave: Leave) -> None:
         """Answer a complete request at the end of this iteration, or pass it to the framework now by calling ``leave``.
@@ -106,7 +114,7 @@ class Shortcut:
         Refusals wait for the end of the iteration too: a client that sends many requests at once must not hold the
         event loop with refusals.
         """
-        content = bytes(request.body)
+        content = request.body
         if _IMAGE in content or _ESCAPE in content:  # an image is decoded in a thread, so it is not read here
             leave()
             return
@@ -121,14 +129,15 @@ class Shortcut:
         else:
             self._endpoints.micro_batcher.submit(query, partial(self._settle, request, record, reply, query))
 
-    def flush(self) -> None:
-        """Answer the waiting requests now."""
-        self._endpoints.micro_batcher.flush()
+    def refuse_late(self, request: ShortcutRequest, reply: Reply) -> None:
+        """Answer a request whose body is late."""
+        record = self._telemetry.begin(request.scope)
+        record.route = self._endpoint.path
+        self._refuse(request, record, reply, SlowBodyError(self._admission.body_s))
 
     def _query(self, scope: Scope, record: RequestRecord, content: bytes) -> Query | None:
         record.route = self._endpoint.path
-        record.caller = self._admission.admit(scope)
-        asked = HttpRequest(scope["headers"], content, NO_PARAMETERS, record.caller)
+        asked = HttpRequest(scope["headers"], content, NO_PARAMETERS, self._admission.admit(scope))
         return self._endpoints.query_single(self._endpoint, asked)
 
     def _settle(
@@ -171,13 +180,13 @@ class Shortcut:
 
 
 def _is_plain(headers: Headers) -> bool:
-    """Return True if the headers declare a JSON body and are otherwise usual."""
-    is_json = False
-    for name, value in headers:
-        if name == b"content-type":
-            if value != b"application/json":
-                return False
-            is_json = True
-        elif name == b"content-encoding" or (name == b"accept" and value not in _PLAIN_ACCEPT):
-            return False
-    return is_json
+    """Return True if the headers declare a JSON body, come once each, and are otherwise usual."""
+    fields = dict(headers)
+    return (
+        len(fields) == len(headers)
+        and fields.get(b"content-type") == b"application/json"
+        and fields.get(b"accept", b"*/*") in _PLAIN_ACCEPT
+        and b"host" in fields
+        and b"content-encoding" not in fields
+        and b"expect" not in fields
+    )

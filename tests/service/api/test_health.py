@@ -61,7 +61,7 @@ def test_models_and_their_changes_are_in_the_metrics(client: TestClient) -> None
         'cazsl_model_loads_total{model="push-indicator"} 1.0',
         "cazsl_ready 1.0",
         "cazsl_registry_up 1.0",
-        "cazsl_requests_in_flight 1.0",
+        "cazsl_requests_in_flight 0.0",
     ):
         assert line in found
 

@@ -6,7 +6,6 @@ from typing import Any
 import pytest
 
 from service.errors import ForbiddenError, MissingKeyError
-from service.observability.records import RequestRecord, attach_record
 from service.transport.callers import Callers, caller_of, needed_scope
 from service.transport.keys import Grant, Keys, Scope
 
@@ -74,8 +73,16 @@ def test_a_path_says_which_scope_it_needs(path: str, needed: Scope | None) -> No
     assert needed_scope(path) is needed
 
 
-def test_the_caller_is_kept_with_the_request() -> None:
-    """A request keeps its caller in its record."""
-    scope = scope_of("/v1/predict")
-    attach_record(scope, RequestRecord("one", "POST", caller="key:robot"))
-    assert caller_of(scope) == "key:robot"
+def test_a_key_is_checked_once(tmp_path: Path) -> None:
+    """A request keeps its caller, or its refusal."""
+    grant, key = Grant.new("robot", frozenset({Scope.PREDICT}))
+    (tmp_path / "keys").write_text(grant.line())
+    callers = Callers(Keys(tmp_path / "keys"))
+    good, bad = scope_of("/v1/predict", f"Bearer {key}"), scope_of("/v1/predict", "Bearer junk")
+    callers.admit(good)
+    with pytest.raises(MissingKeyError):
+        callers.admit(bad)
+    (tmp_path / "keys").unlink()
+    assert callers.admit(good) == caller_of(good) == "key:robot"
+    with pytest.raises(MissingKeyError):
+        callers.admit(bad)

@@ -7,9 +7,10 @@ from typing import cast
 
 import pytest
 
-from service.transport.head_clock import MAX_HEAD_BYTES, HeadClock
+from service.connections.head_clock import MAX_HEAD_BYTES, HeadClock
 
 LIMIT_S = 10.0
+IDLE_S = 75.0
 
 
 @dataclass
@@ -76,7 +77,7 @@ def late() -> Late:
 @pytest.fixture
 def clock(loop: FakeLoop, late: Late) -> HeadClock:
     """Return the clock of a new connection."""
-    return HeadClock(cast(asyncio.AbstractEventLoop, loop), LIMIT_S, late)
+    return HeadClock(cast(asyncio.AbstractEventLoop, loop), LIMIT_S, IDLE_S, late)
 
 
 def test_a_connection_without_a_head_is_late_after_the_limit(loop: FakeLoop, clock: HeadClock, late: Late) -> None:
@@ -98,48 +99,48 @@ def test_a_complete_head_is_never_late(loop: FakeLoop, clock: HeadClock, late: L
     assert late.count == 0
 
 
-@pytest.mark.parametrize("begun", [True, False], ids=["with a first byte", "without a byte"])
-def test_after_an_answer_the_next_head_has_the_whole_limit(
-    loop: FakeLoop, clock: HeadClock, late: Late, begun: bool
-) -> None:
-    """The time of the next head counts from the end of the answer, also once its first byte has come."""
+def test_an_idle_connection_has_its_own_limit(loop: FakeLoop, clock: HeadClock, late: Late) -> None:
+    """After an answer the client may wait for longer than a head may take."""
     clock.pause()
-    loop.advance(LIMIT_S - 1.0)
-    clock.restart()
-    loop.advance(LIMIT_S - 1.0)
-    if begun:
-        clock.begin()
-    assert late.count == 0
-    loop.advance(1.1)
-    assert late.count == 1
-
-
-def test_a_pipelined_head_counts_from_its_first_byte(loop: FakeLoop, clock: HeadClock, late: Late) -> None:
-    """A head that begins while another request is answered starts the clock."""
-    clock.pause()
-    loop.advance(LIMIT_S - 1.0)
-    clock.begin()
-    loop.advance(2.0)
-    assert late.count == 0
+    clock.rest()
+    assert clock.is_idle
+    for _ in range(int(IDLE_S / LIMIT_S)):
+        loop.advance(LIMIT_S)
+        assert late.count == 0
     loop.advance(LIMIT_S)
     assert late.count == 1
 
 
-def test_bytes_of_a_head_are_counted_up_to_the_limit(clock: HeadClock) -> None:
-    """A head may have the maximum of bytes, and not one more."""
+def test_a_head_has_the_whole_limit_from_its_first_byte(loop: FakeLoop, clock: HeadClock, late: Late) -> None:
+    """The idle time before a head does not count for it."""
+    clock.rest()
+    loop.advance(IDLE_S - 1.0)
     clock.begin()
-    assert not clock.add(MAX_HEAD_BYTES)
-    assert clock.add(1)
-    clock.begin()
-    assert not clock.add(MAX_HEAD_BYTES)
-    clock.restart()
-    assert not clock.add(MAX_HEAD_BYTES)
+    assert not clock.is_idle
+    loop.advance(LIMIT_S - 1.0)
+    assert late.count == 0
+    loop.advance(2.0)
+    assert late.count == 1
 
 
-def test_bytes_of_a_body_are_not_counted(clock: HeadClock) -> None:
-    """A paused clock counts no bytes."""
+def test_a_connection_tells_how_long_it_waited(loop: FakeLoop, clock: HeadClock) -> None:
+    """The time counts from the last answer or the first byte, and not while a request is answered."""
+    clock.rest()
+    loop.advance(3.0)
+    assert clock.waited_s() == 3.0
     clock.pause()
-    assert not clock.add(2 * MAX_HEAD_BYTES)
+    assert clock.waited_s() == 0.0
+
+
+def test_bytes_of_a_head_are_counted_up_to_the_limit(clock: HeadClock) -> None:
+    """A head may have the maximum of bytes, and not one more. The next head begins at 0."""
+    assert not clock.add(MAX_HEAD_BYTES - 1)
+    clock.begin()  # with the last byte that was counted
+    assert not clock.add(1)
+    assert clock.add(1)
+    for end in (clock.pause, clock.rest):
+        end()
+        assert not clock.add(MAX_HEAD_BYTES)
 
 
 def test_a_closed_clock_leaves_no_timer(loop: FakeLoop, clock: HeadClock, late: Late) -> None:

@@ -23,6 +23,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.api.v1.endpoints import SINGLE
 from service.app import Service, create_app
+from service.connections.unsent import PairedWrites
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query
 from service.model.reference import ModelReference
@@ -33,7 +34,7 @@ from service.observability.telemetry import RequestTelemetry
 from service.settings import Settings
 from service.transport.admission import Admission, AdmissionLimits
 from service.transport.callers import Callers
-from service.transport.connection import CLOSE, PairedWrites
+from service.transport.draining import CLOSE
 from service.transport.endpoints import LIGHT_BYTES, Endpoint, Endpoints, Weight
 from service.transport.fast_path import Shortcut
 from service.transport.keys import Keys
@@ -43,13 +44,19 @@ from tests.fakes import all_fake_models
 from tests.request_strategies import ODD, PUSHER, pushes
 
 
+def paired(transport: FakeTransport) -> PairedWrites:
+    """Return the writes of a transport, which end at once."""
+    writes = PairedWrites(transport, asyncio.get_running_loop(), lambda: writes.end())
+    return writes
+
+
 def sent_by(write: Callable[[PairedWrites], None]) -> list[bytes]:
     """Return the bytes of each system call for writes in one iteration."""
 
     async def run() -> list[bytes]:
         """Write in an event loop."""
         transport = FakeTransport()
-        write(PairedWrites(transport, asyncio.get_running_loop()))
+        write(paired(transport))
         await asyncio.sleep(0)
         return transport.sent
 
@@ -95,7 +102,7 @@ def test_held_bytes_are_dropped_if_the_peer_is_gone() -> None:
 
     async def run() -> None:
         """Write, then lose the connection."""
-        PairedWrites(transport, asyncio.get_running_loop()).write(b"head")
+        paired(transport).write(b"head")
         transport.close()
         await asyncio.sleep(0)
 
@@ -108,7 +115,7 @@ def test_other_attributes_are_those_of_the_transport() -> None:
 
     async def run() -> object:
         """Read the address in an event loop."""
-        return PairedWrites(FakeTransport(), asyncio.get_running_loop()).get_extra_info("peername")
+        return paired(FakeTransport()).get_extra_info("peername")
 
     assert asyncio.run(run()) == ("192.0.2.1", 5)
 
@@ -292,14 +299,24 @@ def test_a_plain_push_needs_no_application(loop: asyncio.Runner, models: LoadedM
     assert [status(answer) for answer in whole_answers(loop.run(run()))] == [200, 200]
 
 
-@pytest.mark.parametrize(("body", "first"), [(BODY, 200), (b"{}", 422)], ids=["good", "refused"])
-def test_a_client_that_does_not_await_answers_loses_the_shortcut(
-    loop: asyncio.Runner, models: LoadedModels, body: bytes, first: int
+@pytest.mark.parametrize("body", [BODY, b"{}"], ids=["good", "refused"])
+def test_each_of_many_requests_in_one_write_has_an_iteration(
+    loop: asyncio.Runner, models: LoadedModels, body: bytes
 ) -> None:
-    """The shortcut answers the first of several requests in one write: a client must not hold the event loop."""
-    sent = post("/v1/predict", body) * 3
-    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut_only(models)), sent, answers=3)
-    assert [status(answer) for answer in whole_answers(received)] == [first, 418, 418]
+    """A client that sends many requests at once does not hold the event loop: each is answered in its own iteration."""
+
+    async def run() -> list[int]:
+        """Send requests in one write. Return the numbers of answers after each iteration."""
+        connection = FakeConnection(FRAMEWORK, shortcut_only(models))
+        connection.receive(post("/v1/predict", body) * 5)
+        counts: list[int] = []
+        while not counts or counts[-1] < 5:
+            await asyncio.sleep(0)
+            counts.append(len(whole_answers(b"".join(connection.transport.sent))))
+        return counts
+
+    counts = loop.run(run())
+    assert all(after - before <= 1 for before, after in zip([0, *counts], counts, strict=False))
 
 
 def test_many_pipelined_refusals_are_not_taken_for_one_long_head(loop: asyncio.Runner, app: Service) -> None:
@@ -310,19 +327,21 @@ def test_many_pipelined_refusals_are_not_taken_for_one_long_head(loop: asyncio.R
     assert len(whole_answers(received)) == 700
 
 
-def test_no_idle_timer_runs_while_a_pipelined_request_is_answered(loop: asyncio.Runner, app: Service) -> None:
-    """The answer to the first request must not start the timer that closes idle connections under the second."""
+def test_a_connection_is_not_idle_while_a_pipelined_request_is_incomplete(loop: asyncio.Runner, app: Service) -> None:
+    """The first answer must not begin the idle time under the second request."""
 
-    async def run() -> bool:
-        """Send a push and a part of the next request in one write."""
+    async def run() -> tuple[bool, bool]:
+        """Send a push and a part of the next one in one write, then the other part."""
         connection = connect_to(app)
-        connection.receive(post("/v1/predict", BODY, PLAIN) + post("/v1/predict", BODY, PLAIN)[:-5])
-        idle = connection.protocol.timeout_keep_alive_task is not None
-        connection.disconnect()
-        await asyncio.gather(*connection.state.tasks)
-        return idle
+        request = post("/v1/predict", BODY, PLAIN)
+        connection.receive(request + request[:-5])
+        await connection.answers(1)
+        between = connection.protocol.is_idle()
+        connection.receive(request[-5:])
+        await connection.answers(2)
+        return between, connection.protocol.is_idle()
 
-    assert not loop.run(run())
+    assert loop.run(run()) == (False, True)
 
 
 TYPE = "content-type: application/json"
@@ -336,7 +355,6 @@ UNUSUAL = {
     "compressed": post("/v1/predict", BODY, (TYPE, "content-encoding: gzip")),
     "a client that leaves": post("/v1/predict", BODY, (TYPE, "connection: close")),
     "an older client": post("/v1/predict", BODY).replace(b"HTTP/1.1", b"HTTP/1.0"),
-    "an upgrade": post("/v1/predict", BODY, (TYPE, "connection: upgrade", "upgrade: h2c")),
     "a client that expects 100": post("/v1/predict", BODY, (TYPE, "expect: 100-continue")),
     "chunks": CHUNKED % (TYPE.encode(), len(BODY), BODY),
     "no body": post("/v1/predict", b""),
@@ -377,12 +395,12 @@ def test_a_full_service_refuses_single_pushes_too(loop: asyncio.Runner, models: 
 
 
 def test_a_request_without_its_key_is_refused(loop: asyncio.Runner, models: LoadedModels, tmp_path: Path) -> None:
-    """The shortcut checks the key, and its refusal names the header."""
+    """The shortcut checks the key at the head, and passes a refusal on before a byte of the body has come."""
     (tmp_path / "keys").write_text("")
     shortcut = shortcut_only(models, keys=tmp_path / "keys")
-    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))
-    assert status(received) == 401
-    assert b"header Authorization" in received
+    head = post("/v1/predict", BODY)[: -len(BODY)]
+    received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), head)
+    assert status(received) == 418
 
 
 def test_a_bug_of_the_shortcut_is_logged_and_answered_with_a_500(
@@ -426,16 +444,20 @@ def test_a_push_that_turns_out_to_be_heavy_goes_to_the_framework(loop: asyncio.R
     assert status(received) == 418
 
 
-def test_a_body_that_is_late_is_passed_to_the_framework(loop: asyncio.Runner, models: LoadedModels) -> None:
-    """Admission refuses late bodies, so the shortcut passes them on."""
+def test_a_late_body_costs_one_limit(loop: asyncio.Runner, models: LoadedModels) -> None:
+    """The shortcut refuses a late body itself, and closes only its sending half: the client reads the answer."""
 
-    async def run() -> bytes:
+    async def run() -> tuple[bytes, bool, bool]:
         """Send a part of a request, and no more."""
-        connection = FakeConnection(FRAMEWORK, shortcut_only(models), head_s=0.0)
+        connection = FakeConnection(FRAMEWORK, shortcut_only(models), head_s=0.2)
         connection.receive(post("/v1/predict", BODY)[:-5])
-        return await connection.answers(1)
+        answer = await connection.answers(1)
+        return answer, connection.transport.ended, connection.transport.closed
 
-    assert status(loop.run(run())) == 418
+    answer, ended, closed = loop.run(run())
+    assert status(answer) == 408
+    assert b"slow_body" in answer
+    assert (ended, closed) == (True, False)
 
 
 def test_a_client_that_leaves_in_the_middle_is_logged(

@@ -1,0 +1,167 @@
+"""A connection among others: it is counted, may be asked to make room, and ends without losing an answer."""
+
+import asyncio
+from http import HTTPStatus
+from typing import Final, cast
+
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+
+from service.connections.framing import ChunkedBody
+from service.connections.head_clock import HeadClock
+from service.connections.house import GatedFlow, House
+from service.connections.unsent import PairedWrites
+from service.errors import CazslError, MalformedRequestError, OverloadedError
+from service.transport.callers import caller_at
+from service.transport.problems import MEDIA_TYPE, problem_body
+
+LINGER_S: Final = 0.25  # by then a request has arrived that its client sent before it saw the end
+MAX_DISCARDED_BYTES: Final = 64 << 20
+
+
+class GuestConnection(HttpToolsProtocol):
+    """A connection of a house, with the state of the request that it reads.
+
+    A request is begun with the first byte of its head, in its body once the head is complete, and busy from its last
+    byte to its answer.
+    """
+
+    house: House
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
+        """Open the connection, and start its clock."""
+        self._writes = PairedWrites(transport, self.loop, self._finish)
+        transport.set_write_buffer_limits(high=0)  # to write pauses as soon as bytes stay behind
+        super().connection_made(cast(asyncio.Transport, self._writes))
+        self._gate = self.flow = GatedFlow(cast(asyncio.Transport, self._writes))
+        self.caller = caller_at(self.client[0] if self.client else "")
+        limits = self.house.limits
+        self._clock = HeadClock(self.loop, limits.head_s, limits.idle_s, self._on_late)
+        self._is_begun = self._is_in_body = self._is_busy = self._is_ended = self._is_half_closed = False
+        self._before = b""  # last bytes of an incomplete head
+        self._rest = b""  # bytes behind the request that is being answered
+        self._body_left = 0
+        self._chunks: ChunkedBody | None = None
+        self._held_bytes = 0
+        self._discarded_bytes = 0
+        self._lingering: asyncio.TimerHandle | None = None
+        self.house.open.enter(self)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Stop the clock, and release everything that is held."""
+        self._is_ended = True
+        self._clock.close()
+        if self._lingering is not None:
+            self._lingering.cancel()
+        self._rest = b""
+        self._hold(0)
+        self.house.open.leave(self)
+        self.house.unsent.remove(self)
+        super().connection_lost(exc)
+
+    def pause_writing(self) -> None:
+        """Watch the answers that have not left."""
+        super().pause_writing()
+        self.house.unsent.add(self)
+
+    # ``OpenConnections`` and ``UnsentAnswers`` call these.
+
+    def is_idle(self) -> bool:
+        """Return True if no request is on its way."""
+        return self._is_ended or not (self._is_begun or self._rest or self.flow.write_paused)
+
+    def is_busy(self) -> bool:
+        """Return True if the service works on a request."""
+        return self._is_busy and not self._is_ended
+
+    def waited_s(self) -> float:
+        """Return the time for which the connection has waited for its client, in s."""
+        return self._clock.waited_s()
+
+    def make_room(self) -> None:
+        """End the connection at once, for another one."""
+        if self.is_idle() and not self._is_ended:
+            self._finish()
+        else:
+            self.cut_off("connections")
+
+    def turn_away(self) -> None:
+        """Refuse the connection: there are too many."""
+        error = OverloadedError(f"{self.house.limits.connections} connections")
+        self._refuse(error.status, error.code, str(error), linger=False)
+
+    def unsent_bytes(self) -> int:
+        """Return the number of bytes that the client has not taken."""
+        return int(self.transport.get_write_buffer_size())
+
+    def cut_off(self, reason: str) -> None:
+        """End the connection at once, and count why."""
+        self.house.refuse(reason)
+        self._is_ended = True
+        self.transport.abort()
+
+    def shutdown(self) -> None:
+        """Answer a request that is on its way on this open connection, as the last one, then close."""
+        if self.cycle is None or self.cycle.response_complete:
+            self.loop.call_later(LINGER_S, self._end_unless_busy)
+        else:
+            super().shutdown()
+
+    def _end_unless_busy(self) -> None:
+        if self._is_busy or self._is_in_body:
+            super().shutdown()
+        elif not self._is_ended:
+            self._is_ended = True
+            self._writes.end()
+
+    def _hold(self, count: int) -> None:
+        """Hold this number of bytes of requests that the application does not know yet."""
+        change, self._held_bytes = count - self._held_bytes, count
+        if change < 0:
+            self.house.held.give(self.caller, -change)
+        elif change:
+            try:
+                self.house.held.take(self.caller, change)
+            except CazslError as error:
+                self._held_bytes -= change
+                self._refuse(error.status, error.code, str(error))
+
+    def _refuse_malformed(self, detail: str) -> None:
+        self._refuse(MalformedRequestError.status, MalformedRequestError.code, detail)
+
+    def _refuse(self, status: HTTPStatus, code: str, detail: str, *, linger: bool = True) -> None:
+        """Write a problem and end. The application has no request that it could answer."""
+        if self._is_ended or self.transport.is_closing():
+            return
+        request_id = self.house.refuse(code)
+        body = problem_body(status, code, status.phrase, detail, request_id=request_id)
+        head = (
+            f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-type: {MEDIA_TYPE}\r\ncontent-length: {len(body)}\r\n"
+            f"x-request-id: {request_id}\r\nconnection: close\r\n\r\n"
+        )
+        self._writes.write_whole(head.encode("ascii") + body)
+        self._finish(linger=linger)
+
+    def _finish(self, *, linger: bool = False) -> None:
+        """End the connection behind the last answer.
+
+        A client that is still sending would not see its answer if the connection closed under it. So the sending half
+        is closed first, and what comes is discarded, within bounds.
+        """
+        if self._is_ended:
+            return
+        is_sending = linger or (self._is_begun and not self._is_busy) or bool(self._rest)
+        self._is_ended = True
+        self._clock.pause()
+        self._rest = b""
+        self._hold(0)
+        if not is_sending or self._is_half_closed:
+            self._writes.end()
+            return
+        self._writes.end_sending()
+        self._gate.is_shut = False
+        self.flow.resume_reading()
+        self._lingering = self.loop.call_later(self.house.limits.head_s, self._writes.end)
+
+    def _on_late(self) -> None:
+        """Act on a clock that has run out."""
+        raise NotImplementedError

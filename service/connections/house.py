@@ -1,0 +1,69 @@
+"""The house of all connections: their limits and counts. It has the parts of uvicorn that each connection changes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from uvicorn.protocols.http.flow_control import FlowControl
+from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
+
+from service.connections.open_connections import OpenConnections
+from service.connections.unsent import UnsentAnswers
+from service.transport.shares import Shares
+
+
+@dataclass(frozen=True)
+class ConnectionLimits:
+    """Limits of each connection, and of all of them.
+
+    Attributes:
+        head_s: longest time until a head is complete, and longest time to read on behind an early refusal, in s.
+        idle_s: longest time between an answer and the next request, in s.
+        write_s: time in which a part of a waiting answer has to leave, in s.
+        connections: maximum number of connections.
+        unsent_bytes: maximum bytes of all answers that have not left.
+    """
+
+    head_s: float
+    idle_s: float
+    write_s: float
+    connections: int
+    unsent_bytes: int
+
+
+class House:
+    """What the connections of a service share: limits, counts, and the metrics of refusals.
+
+    Attributes:
+        limits: limits of connections.
+        held: bytes of requests in memory, by caller.
+        refuse: counts a refusal that happens before there is a request by its code, and returns an id for its answer.
+    """
+
+    def __init__(self, limits: ConnectionLimits, held: Shares, refuse: Callable[[str], str]) -> None:
+        self.limits = limits
+        self.held = held
+        self.refuse = refuse
+        self.unsent = UnsentAnswers(limits.write_s, limits.unsent_bytes)
+        self.open = OpenConnections(limits.connections)
+
+
+class GatedFlow(FlowControl):
+    """Flow control of uvicorn with a gate: while it is shut, no reader may resume reading."""
+
+    is_shut = False
+
+    def resume_reading(self) -> None:
+        """Resume reading, unless the bytes of the next request wait already."""
+        if not self.is_shut:
+            super().resume_reading()
+
+
+class Cycle(RequestResponseCycle):
+    """A request and its answer. An answer that comes before the whole body is the last one of its connection."""
+
+    async def send(self, message: Any) -> None:
+        """Send a part of the answer."""
+        if self.more_body and not self.response_started:
+            self.keep_alive = False
+        await super().send(message)

@@ -1,0 +1,74 @@
+"""Open connections: bounded in number. If there is no room, an idle one of the caller with the most makes room.
+
+A caller that holds all connections busy loses one to a caller that holds fewer, so that health checks get in.
+"""
+
+from collections import Counter
+from typing import Protocol
+
+
+class Guest(Protocol):
+    """A connection among others.
+
+    Attributes:
+        caller: address of the client, see ``transport.callers``.
+    """
+
+    caller: str
+
+    def is_idle(self) -> bool:
+        """Return True if no request is on its way, so that to close it loses none."""
+        ...
+
+    def is_busy(self) -> bool:
+        """Return True if the service works on its request. Otherwise it waits for its client."""
+        ...
+
+    def waited_s(self) -> float:
+        """Return the time for which it has waited for its client, in s."""
+        ...
+
+    def make_room(self) -> None:
+        """End the connection at once."""
+        ...
+
+    def turn_away(self) -> None:
+        """Refuse the connection: there is no room."""
+        ...
+
+
+class OpenConnections:
+    """The open connections of a service."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._open: dict[Guest, None] = {}
+
+    def __len__(self) -> int:
+        return len(self._open)
+
+    def enter(self, newcomer: Guest) -> None:
+        """Add a new connection. If there is no room, end another one, or turn the new one away."""
+        if len(self._open) >= self._limit:
+            leaver = self._leaver(newcomer)
+            if leaver is None:
+                newcomer.turn_away()
+                return
+            del self._open[leaver]
+            leaver.make_room()
+        self._open[newcomer] = None
+
+    def leave(self, guest: Guest) -> None:
+        """Remove a connection that is lost."""
+        self._open.pop(guest, None)
+
+    def _leaver(self, newcomer: Guest) -> Guest | None:
+        """Return the connection that makes room: an idle one, or one of a caller that holds more than the newcomer."""
+        held = Counter(guest.caller for guest in self._open)
+        idle = [guest for guest in self._open if guest.is_idle()]
+        if idle:
+            return max(idle, key=lambda guest: (held[guest.caller], guest.waited_s()))
+        waiting = [
+            guest for guest in self._open if not guest.is_busy() and held[guest.caller] > held[newcomer.caller] + 1
+        ]
+        return max(waiting, key=lambda guest: (held[guest.caller], guest.waited_s()), default=None)
