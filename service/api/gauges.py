@@ -160,6 +160,12 @@ def _of_registry(models: LoadedModels) -> tuple[Reading, ...]:
             lambda: _one(len(models.snapshot.problems)),
         ),
         Reading(
+            "cazsl_model_problems",
+            "Problems of a model, or of an entry in a model's place, that /readyz lists.",
+            ("model",),
+            lambda: _by_name(models.snapshot.problem_counts),
+        ),
+        Reading(
             "cazsl_registry_failures",
             "Polls that could not read the registry.",
             (),

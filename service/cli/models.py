@@ -3,7 +3,7 @@
 import itertools
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, time
 from typing import Any
 
@@ -21,7 +21,7 @@ from service.registry.loading import load_version
 from service.registry.location import open_registry
 from service.registry.registry import Registry
 from service.storage.base import RegistryFinding
-from service.storage.history import Event
+from service.storage.history import Event, ModelState
 
 
 @click.group(context_settings=HELP)
@@ -55,20 +55,37 @@ def load_reference(registry: Registry, reference: str) -> LoadedModel:
 @registry_option
 @errors_as_one_line
 def list_models(registry: str, as_json: bool) -> None:
-    """List every model with its versions and aliases."""
+    """List every model with its versions and aliases. Exit status 1 if a part cannot be read; the rest is listed."""
     store = open_registry(registry)
-    states = {name: store.state(name) for name in store.names()}
+    states = {name: _state_or_fault(store, name) for name in store.names()}
     if as_json:
         print_json(
             [
                 {"name": name, "versions": sorted(state.versions), "aliases": dict(sorted(state.aliases.items()))}
+                | ({"faults": dict(state.faults)} if state.faults else {})
                 for name, state in states.items()
             ]
         )
-        return
+    else:
+        _print_states(states)
+    if any(state.faults for state in states.values()):
+        sys.exit(FAILED)
+
+
+def _state_or_fault(store: Registry, name: str) -> ModelState:
+    """Return the state of a model. One that cannot be read has the cause as its only content."""
+    try:
+        return store.state(name)
+    except CazslError as error:
+        return ModelState(faults={"": str(error)})
+
+
+def _print_states(states: Mapping[str, ModelState]) -> None:
     for name, state in states.items():
         aliases = ", ".join(f"{alias} -> {version}" for alias, version in sorted(state.aliases.items())) or "no alias"
         echo(f"{name}  versions {', '.join(map(str, sorted(state.versions))) or 'none'}  {aliases}")
+        for place, cause in state.faults.items():
+            echo(f"BROKEN  {name}{'/' * bool(place)}{place}: {cause}", err=True)
     if not states:
         echo("the registry has no models; train and publish one with: make train")
 
@@ -96,8 +113,13 @@ def show(reference: str, as_json: bool, registry: str) -> None:
 def verify(reference: str | None, as_json: bool, registry: str) -> None:
     """Verify digests, graph, tensors and self-check of one version, or of all. Exit status 1 if any fails."""
     store = open_registry(registry)
-    references = [reference] if reference else [f"{n}@{v}" for n in store.names() for v in store.versions(n)]
-    found: list[dict[str, Any]] = []
+    states = {} if reference else {name: _state_or_fault(store, name) for name in store.names()}
+    references = [reference] if reference else [f"{n}@{v}" for n in states for v in sorted(states[n].versions)]
+    found: list[dict[str, Any]] = [
+        {"reference": f"{name}{'/' * bool(place)}{place}", "ok": False, "detail": cause}
+        for name, state in states.items()
+        for place, cause in state.faults.items()
+    ]
     for each in references:
         try:
             manifest = load_reference(store, each).manifest

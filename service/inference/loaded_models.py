@@ -6,8 +6,9 @@ models are one immutable snapshot, which is exchanged by assigning one reference
 started with.
 
 If a new version fails verification, its alias keeps the previous version, and readiness names the reason. If the
-registry cannot be read, the snapshot stays as it is. A version or folder that disappears without having been removed,
-as when a disk is no longer mounted, stays served.
+registry cannot be read, the snapshot stays as it is. If one model, alias or version cannot be read, that one stays as
+it is, and all others are followed. Only a recorded removal unloads: a version, alias or folder that disappears without
+one, as when a disk is no longer mounted, stays served, and its absence is a problem.
 """
 
 import contextlib
@@ -17,18 +18,30 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from service.errors import CazslError
+from service.errors import BrokenModelError, CazslError
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.predictor import PredictorFactory
+from service.model.reference import DEFAULT_ALIAS
 from service.registry.loading import load_version
 from service.registry.registry import Registry
-from service.storage.history import ModelState
+from service.storage.history import History, ModelState
 
 # Files that are edited by hand may leave the fingerprint of the registry as it was. Every 30th poll reads all files.
 THOROUGH_EVERY: Final = 30
+MAX_STRANGERS: Final = 10  # entries in a model's place that are listed one by one
 
 logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class ServedModel:
+    """Versions and aliases of one model that are served, its problems, and whether it has a champion by its record."""
+
+    versions: dict[int, LoadedModel]
+    aliases: dict[str, int]
+    problems: list[str] = field(default_factory=list)
+    champion_is_recorded: bool = False
 
 
 @dataclass
@@ -93,50 +106,92 @@ class LoadedModels:
         models: dict[tuple[str, int], LoadedModel] = {}
         aliases: dict[tuple[str, str], int] = {}
         problems: list[str] = []
-        for name in sorted({*self._registry.names(), *(name for name, _ in self._snapshot.models)}):
-            state = self._registry.state(name)
-            lost = self._lost_versions(name, state)
-            wanted = self._lost_aliases(name, state) | dict(state.aliases)
-            problems += [f"{name}@{version} has vanished without being removed and stays served" for version in lost]
-            newest = sorted(state.versions)[-self._newest_versions :]
-            for version in sorted({*newest, *wanted.values(), *lost}):
-                try:
-                    models[name, version] = self._snapshot.models.get((name, version)) or load_version(
-                        self._registry, self._load, name, version
-                    )
-                except CazslError as error:
-                    self.counters.failures[name] += 1
-                    problems.append(f"{name}@{version} is broken and not served: {error}")
-            for alias, version in wanted.items():
-                kept = self._snapshot.aliases.get((name, alias))
-                if alias not in state.aliases:
-                    problems.append(f"{name}@{alias} has vanished; {version} stays served")
-                if (name, version) in models:
-                    aliases[name, alias] = version
-                elif kept is not None and (old := self._snapshot.models.get((name, kept))) is not None:
-                    models[name, kept] = old
-                    aliases[name, alias] = kept
-                    problems.append(f"{name}@{alias} should be {version}; {kept} stays served")
-        return Snapshot(models, aliases, tuple(problems) if models or problems else ("the registry holds no model",))
+        silent: dict[str, str] = {}
+        counts: Counter[str] = Counter()
+        strangers = [entry for entry in self._registry.strangers() if entry.severe]
+        problems += [f"{entry.where} {entry.wrong}" for entry in strangers[:MAX_STRANGERS]]
+        counts.update(entry.where for entry in strangers[:MAX_STRANGERS])
+        if len(strangers) > MAX_STRANGERS:
+            problems.append(f"{len(strangers) - MAX_STRANGERS} more entries are in a model's place and are none")
+        for name in sorted({*self._registry.names(), *self._snapshot.names()}):
+            found = self._follow(name)
+            models |= {(name, version): model for version, model in found.versions.items()}
+            aliases |= {(name, alias): version for alias, version in found.aliases.items()}
+            problems += found.problems
+            counts[name] += len(found.problems)
+            if found.champion_is_recorded and DEFAULT_ALIAS not in found.aliases:
+                silent[name] = found.problems[0] if found.problems else "no version is named by its champion"
+        if not models and not problems:
+            problems.append("the registry holds no model")
+        return Snapshot(models, aliases, tuple(problems), silent, counts)
 
-    def _lost_versions(self, name: str, state: ModelState) -> set[int]:
-        """Return served versions that are absent but not removed: the storage has an outage, or files were deleted."""
-        served = {version for model, version in self._snapshot.models if model == name}
-        return served - state.versions - state.removed
+    def _follow(self, name: str) -> ServedModel:
+        """Return the versions and aliases of a model to serve now. A fault of any kind stays with this model."""
+        served = ServedModel(
+            {version: model for (other, version), model in self._snapshot.models.items() if other == name},
+            self._snapshot.aliases_of(name),
+        )
+        try:
+            return self._next_of(name, self._registry.state(name), served)
+        except CazslError as error:
+            problem = str(error)
+        except Exception:  # a bug that one model meets must not stop the others
+            logger.exception("model cannot be followed", extra={"model": name})
+            problem = "it cannot be followed; the log has the cause"
+        problem = f"{name}: {problem.removeprefix(f'{name}: ')}" + (
+            "; its versions stay served" if served.versions else ""
+        )
+        return replace(served, problems=[problem], champion_is_recorded=True)
 
-    def _lost_aliases(self, name: str, state: ModelState) -> dict[str, int]:
-        """Return served aliases that are absent, though no line of the history drops them."""
-        missing = {
-            alias: version
-            for (model, alias), version in self._snapshot.aliases.items()
-            if model == name and alias not in state.aliases
-        }
-        if not missing:
-            return {}
-        with contextlib.suppress(CazslError):
-            recorded = self._registry.history(name).state().aliases
-            return {alias: version for alias, version in missing.items() if alias in recorded}
-        return missing
+    def _next_of(self, name: str, state: ModelState, served: ServedModel) -> ServedModel:
+        """Return the state of the registry as far as it loads. What is only absent stays served."""
+        problems = [f"{name}/{place}: {cause}" for place, cause in state.faults.items()]
+        missing = {version for version in served.versions if version not in state.versions | state.removed}
+        unnamed = {alias for alias in served.aliases if alias not in state.aliases}
+        record = History()
+        if missing or unnamed or DEFAULT_ALIAS not in state.aliases:
+            with contextlib.suppress(CazslError):  # an unreadable record removes nothing
+                record = self._registry.history(name)
+        lost = missing - record.intended().removed
+        kept = {alias: served.aliases[alias] for alias in unnamed if not record.gave_up(alias)}
+        problems += [f"{name}@{version} has vanished without being removed and stays served" for version in lost]
+        problems += [
+            f"{name}@{alias} has vanished; {version} stays served"
+            for alias, version in kept.items()
+            if not state.is_unknown(alias)
+        ]
+        wanted = kept | dict(state.aliases)
+        newest = sorted(state.versions)[-self._newest_versions :]
+        versions: dict[int, LoadedModel] = {}
+        for version in sorted({*newest, *wanted.values(), *lost}):
+            try:
+                versions[version] = served.versions.get(version) or self._loaded(name, version)
+            except CazslError as error:
+                self.counters.failures[name] += 1
+                problems.append(f"{name}@{version} is broken and not served: {error}")
+        aliases = {}
+        for alias, version in wanted.items():
+            before = served.aliases.get(alias)
+            if version in versions:
+                aliases[alias] = version
+            elif before is not None and before in served.versions:
+                versions[before] = served.versions[before]
+                aliases[alias] = before
+                problems.append(f"{name}@{alias} should be {version}; {before} stays served")
+        recorded = _champion_is_recorded(state, record)
+        if recorded and DEFAULT_ALIAS not in wanted and not problems:
+            problems.append(f"{name}@{DEFAULT_ALIAS} is recorded in the history, but has vanished")
+        return ServedModel(versions, aliases, problems, recorded)
+
+    def _loaded(self, name: str, version: int) -> LoadedModel:
+        """Load a version. A bug that only one version meets is a fault of that version."""
+        try:
+            return load_version(self._registry, self._load, name, version)
+        except CazslError:
+            raise
+        except Exception as error:
+            logger.exception("version cannot be loaded", extra={"model": name, "version": version})
+            raise BrokenModelError("it cannot be loaded; the log has the cause") from error
 
     def _announce(self, new: Snapshot) -> None:
         """Log and count each change once."""
@@ -154,3 +209,15 @@ class LoadedModels:
         if new.problems != old.problems:
             for problem in new.problems:
                 logger.warning("registry problem", extra={"problem": problem})
+
+
+def _champion_is_recorded(state: ModelState, record: History) -> bool:
+    """Return whether a model has a champion, or had one that no writer dropped.
+
+    A history with faults may have lost the line that set the champion. A model without a version, and a model whose
+    history shows that no version was promoted yet, has none.
+    """
+    if DEFAULT_ALIAS in state.aliases or state.is_unknown(DEFAULT_ALIAS):
+        return True
+    faulty = bool(record.problems) and not record.torn_bytes
+    return faulty or DEFAULT_ALIAS in record.intended().aliases

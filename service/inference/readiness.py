@@ -2,6 +2,8 @@
 
 A timer probes every loaded model again (``probing``). A model that fails, gives another output or does not end is not
 ready, and becomes ready again once it answers. A registry that cannot be read does not change the readiness of a model.
+
+The service is ready while the default models answer, see ``Readiness.reason``.
 """
 
 import logging
@@ -11,6 +13,8 @@ from typing import Final
 
 from service.inference.loaded_models import LoadedModels
 from service.inference.probing import Key, Probing
+from service.inference.snapshot import DEFAULT_MODELS
+from service.model.reference import DEFAULT_ALIAS
 
 DRAINING: Final = "SIGTERM was received: running requests are finished; send new ones to another instance"
 
@@ -56,18 +60,33 @@ class Readiness:
         return self._reasons.get((name, version))
 
     def is_ready(self) -> bool:
-        """Return whether a model is ready and the service is not about to end."""
-        return not self.draining and any(check.ready for check in self.checks())
+        """Return whether the default models answer and the service is not about to end. See ``reason``."""
+        return not self.draining and self._cause() is None
 
     def reason(self) -> str | None:
-        """Return why the service is not ready and when it polls again, or None if it is ready."""
+        """Return why the service is not ready and when it polls again, or None if it is ready.
+
+        At least one default model has to answer: its champion is loaded and its last probe was right. So does every
+        other default model that has a champion by its record. One that never had a champion, or whose champion was
+        dropped, is not waited for.
+        """
         if self.draining:
             return DRAINING
-        if self.is_ready():
-            return None
-        checks, problems = self.checks(), self._models.snapshot.problems
-        cause = f"{checks[0].name}@{checks[0].version}: {checks[0].reason}" if checks else "; ".join(problems)
-        return f"not ready, looking again every {self._poll_interval_s:g} s, because {cause or 'no model is loaded'}"
+        cause = self._cause()
+        return None if cause is None else f"not ready, looking again every {self._poll_interval_s:g} s, because {cause}"
+
+    def _cause(self) -> str | None:
+        snapshot, answering = self._models.snapshot, False
+        if not snapshot.models:
+            return "; ".join(snapshot.problems) or "no model is loaded"
+        for name in DEFAULT_MODELS.values():
+            version = snapshot.aliases.get((name, DEFAULT_ALIAS))
+            if version is not None and (reason := self._reasons.get((name, version))) is not None:
+                return f"{name}@{version}: {reason}"
+            if version is None and (reason := snapshot.silent.get(name)) is not None:
+                return f"{name}@{DEFAULT_ALIAS} does not answer: {reason}"
+            answering |= version is not None
+        return None if answering else f"no default model has a champion ({', '.join(DEFAULT_MODELS.values())})"
 
     async def probe(self) -> None:
         """Run the self-check of every loaded version once. A failure makes a version not ready, and is not raised."""

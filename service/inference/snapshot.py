@@ -15,18 +15,28 @@ _DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, na
 
 @dataclass(frozen=True)
 class Snapshot:
-    """Snapshot of the served models, their aliases, and the problems of the registry. A request uses one throughout."""
+    """Snapshot of the served models, their aliases, and the problems of the registry. A request uses one throughout.
+
+    Attributes:
+        models: loaded versions by name and number.
+        aliases: served version by name and alias.
+        problems: faults of the registry in words.
+        silent: models that have a champion by their record and serve none, with the reason.
+        problem_counts: number of problems by model, or by an entry in a model's place.
+    """
 
     models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
     aliases: Mapping[tuple[str, str], int] = field(default_factory=dict)
     problems: tuple[str, ...] = ("the registry was not read yet",)
+    silent: Mapping[str, str] = field(default_factory=dict)
+    problem_counts: Mapping[str, int] = field(default_factory=dict)
 
     def find(self, reference: ModelReference) -> LoadedModel:
         """Return the model that a reference names.
 
         Raises:
             UnknownModelError: it is not served.
-            ModelNotReadyError: no model is served yet.
+            ModelNotReadyError: no model is served yet, or this one has a champion by its record and does not serve it.
         """
         version = reference.version
         if reference.alias is not None:
@@ -38,6 +48,8 @@ class Snapshot:
             raise ModelNotReadyError(
                 f"no model is loaded: {self.problems[0] if self.problems else 'none is published'}"
             )
+        if reference.alias == DEFAULT_ALIAS and (reason := self.silent.get(reference.name)) is not None:
+            raise ModelNotReadyError(f"{reference} is not served now: {reason}")
         served = ", ".join(f"{name}@{number}" for name, number in sorted(self.models)[:10])
         raise UnknownModelError(f"model: received a reference that is not served; accepted is one of: {served}")
 

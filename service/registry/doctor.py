@@ -7,6 +7,7 @@ from service.model.predictor import PredictorFactory
 from service.registry.loading import load_version
 from service.registry.registry import Registry
 from service.storage.base import RegistryFinding
+from service.storage.history import ALIASES, ModelState, unrecorded
 
 
 def examine(registry: Registry, load: PredictorFactory) -> Iterator[RegistryFinding]:
@@ -24,7 +25,9 @@ def examine(registry: Registry, load: PredictorFactory) -> Iterator[RegistryFind
 
 
 def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Iterator[RegistryFinding]:
-    state = registry.state(name)
+    state, history = registry.state(name), registry.history(name)
+    for place, cause in state.faults.items():
+        yield RegistryFinding(f"{name}/{place}", cause, _cure(name, place))
     for version in sorted(state.versions):
         named = sorted(alias for alias, to in state.aliases.items() if to == version)
         try:
@@ -35,16 +38,39 @@ def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Ite
         if version not in state.versions:
             advice = f"point it at an existing version: cazsl models promote {name} VERSION --alias {alias}"
             yield RegistryFinding(f"{name}@{alias}", f"names version {version}, which does not exist", advice)
-    if not state.versions:
-        yield RegistryFinding(name, "has no version", "publish a version, or move the folder elsewhere", severe=False)
-    history = registry.history(name)
+    yield from _lost(name, state, history.lost(state))
     for number, problem in enumerate(history.problems, start=1):
         torn = history.torn_bytes > 0 and number == len(history.problems)
         advice = "the next change cuts it off" if torn else "compare it with a backup; new lines continue from its end"
         yield RegistryFinding(f"{name}/history", problem, advice, severe=not torn)
-    for event in registry.unrecorded(name):
+    for event in unrecorded(history.state(), state):
         change = f"{event.what} from {event.before} to {event.to} is not in the history"
         yield RegistryFinding(f"{name}/history", change, "the next change records it", severe=False)
+
+
+def _lost(name: str, state: ModelState, lost: ModelState) -> Iterator[RegistryFinding]:
+    """Yield the versions and aliases that are recorded and were never removed, but are not there."""
+    for version in sorted(lost.versions):
+        advice = f"restore its folder from a backup, or record its end: cazsl models remove {name}@{version}"
+        yield RegistryFinding(f"{name}/{version}", "is recorded, but missing, and was not removed", advice)
+    for alias, version in sorted(lost.aliases.items()):
+        advice = (
+            f"set it again: cazsl models promote {name} {version} --alias {alias}, or record its end: "
+            f"cazsl models remove {name}@{alias}"
+        )
+        yield RegistryFinding(f"{name}@{alias}", f"is recorded as {version}, but missing, and not dropped", advice)
+    if not state.versions | lost.versions:
+        yield RegistryFinding(name, "has no version", "publish a version, or move the folder elsewhere", severe=False)
+
+
+def _cure(name: str, place: str) -> str:
+    alias = place.removeprefix(f"{ALIASES}/")
+    if alias == place:
+        return "check its kind and its permissions; links are not followed"
+    return (
+        f"check its permissions, set it again (cazsl models promote {name} VERSION --alias {alias}), or remove it "
+        f"(cazsl models remove {name}@{alias})"
+    )
 
 
 def _remedy(error: CazslError, name: str, version: int, named: list[str]) -> str:

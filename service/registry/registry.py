@@ -61,6 +61,14 @@ class Registry:
         """
         return self.storage.models()
 
+    def strangers(self) -> Sequence[RegistryFinding]:
+        """Return a finding for each entry beside the models that is none. It is severe if it is in a model's place.
+
+        Raises:
+            RegistryError: the storage cannot be listed.
+        """
+        return self.storage.strangers()
+
     def state(self, name: str) -> ModelState:
         """Return versions, aliases and removed numbers of a model.
 
@@ -137,7 +145,8 @@ class Registry:
         here = verify(self.storage, name, version, replace(self._required, signatures=None))
         if here.files != there.files:
             raise ConflictError(f"{name}@{version} is another version in the destination; no change was made")
-        if there.signature not in (None, here.signature):
+        complete = there.signature == here.signature and self.storage.history(name).has_signing(version)
+        if there.signature is not None and not complete:  # an interrupted copy may not have recorded it
             self.storage.sign(name, version, there.signature)
         return self.read(name, version)
 
@@ -181,10 +190,11 @@ class Registry:
         _check_reason(reason)
 
         def decide(state: ModelState) -> Event:
-            """Drop the alias if it exists."""
-            if alias not in state.aliases:
+            """Drop the alias if it exists. One that disappeared, or cannot be read, is dropped too."""
+            known = alias in state.aliases or state.is_unknown(alias)
+            if not known and alias not in self.storage.history(name).lost(state).aliases:
                 raise UnknownModelError(f"there is no {name}@{alias}; aliases: {_listed(sorted(state.aliases))}")
-            return Event.alias_move(alias, state.aliases[alias], None, reason)
+            return Event.alias_move(alias, state.aliases.get(alias), None, reason)
 
         return self.storage.commit(self._known(name), decide)
 
@@ -199,11 +209,10 @@ class Registry:
         _check_reason(reason)
 
         def decide(state: ModelState) -> Event:
-            """Remove the version if no alias names it."""
-            if version not in state.versions:
+            """Remove the version if no alias names it. One that disappeared is removed too."""
+            if version not in state.versions and version not in self.storage.history(name).lost(state).versions:
                 raise UnknownModelError(f"there is no {name}@{version}; versions: {_listed(sorted(state.versions))}")
-            naming = sorted(alias for alias, to in state.aliases.items() if to == version)
-            if naming:
+            if naming := state.naming(version):
                 raise InUseError(f"{name}@{version} is named by {', '.join(naming)}; move or remove the alias first")
             return Event(REMOVE, version, None, reason=reason)
 

@@ -6,6 +6,7 @@ history. Every storage keeps these promises, and one suite of tests runs against
 - A version is visible whole or not at all, even if the writer is killed. Its number is never used again.
 - ``commit`` decides on the state at the instant of the change: compare-and-set, for aliases and removals.
 - Every change has its line in the history, at the latest when the next change is made.
+- A fault of one model is an error for that model only.
 - Reading changes no file. Sizes are bounded here. Names are checked by the registry above.
 """
 
@@ -41,18 +42,28 @@ class Storage(Protocol):
     """Versions, aliases and histories of models, in a folder or in a bucket."""
 
     def models(self) -> list[str]:
-        """Return the names of all models, sorted.
+        """Return the names of all models, sorted. Entries that are no models are left out.
 
         Raises:
             RegistryError: the storage cannot be listed. An empty storage is no error.
         """
         ...
 
+    def strangers(self) -> Sequence[RegistryFinding]:
+        """Return a finding for each entry beside the models that is none. It is severe if it is in a model's place.
+
+        Raises:
+            RegistryError: the storage cannot be listed.
+        """
+        ...
+
     def state(self, name: str) -> ModelState:
         """Return the visible state of a model. The state of an unknown model is empty.
 
+        A part that cannot be read, such as one alias, is a fault in the state. The rest is read.
+
         Raises:
-            RegistryError: the state cannot be read.
+            RegistryError: no part of the state can be read.
         """
         ...
 
@@ -127,13 +138,17 @@ class Storage(Protocol):
     def fingerprint(self) -> Hashable:
         """Return a value that changes with every version, alias and signature. Cheap enough to poll.
 
+        A model that cannot be read is part of the value, and hides no change of another one.
+
         Raises:
             RegistryError: the storage cannot be listed.
         """
         ...
 
     def survey(self) -> Sequence[RegistryFinding]:
-        """Return a finding for each entry of the storage that is not part of its layout.
+        """Return ``strangers``, and a finding for each entry of a model that is not part of its layout.
+
+        A model that cannot be listed is left out, because ``state`` tells the cause.
 
         Raises:
             RegistryError: the storage cannot be listed.

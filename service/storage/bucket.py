@@ -1,12 +1,16 @@
 """Objects of one prefix of an S3-compatible bucket: bounded reads, conditional writes. The only user of obstore.
 
 Credentials, region and endpoint come from the environment as for every S3 tool: AWS_ACCESS_KEY_ID, AWS_REGION,
-AWS_ENDPOINT_URL, ... Methods raise the errors of ``FAILURES``. A missing object raises ``FileNotFoundError``.
+AWS_ENDPOINT_URL, ... Methods raise the errors of ``FAILURES``. A missing object raises ``FileNotFoundError``, every
+other failure, and a panic of the library too, ``StoreFailure`` with cause and cure (``service.storage.bucket_causes``).
 """
 
+import contextlib
 import os
+import re
 import secrets
 import time
+from collections.abc import Iterator
 from datetime import timedelta
 from typing import TYPE_CHECKING, Final, Self
 
@@ -14,15 +18,30 @@ import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError, PreconditionError
 from obstore.store import S3Store
 
-from service.errors import BrokenModelError, RegistryError
+from service.errors import BrokenModelError, CazslError, RegistryError
+from service.storage.bucket_causes import PANIC, UNREACHABLE, cause_of, code_of, fault_of_environment
+from service.storage.survey import PROBE
 
 if TYPE_CHECKING:  # names that only the library's stubs have
     from obstore import GetResult
     from obstore.store import S3Config
 
-__all__ = ["FAILURES", "AlreadyExistsError", "Bucket", "reason"]
+__all__ = ["FAILURES", "AlreadyExistsError", "Bucket", "StoreFailure", "reason"]
 PATIENCE: Final = timedelta(seconds=10)
-FAILURES: Final = (BaseError, OSError)
+_BUCKET: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{1,254}")
+_PANICS: Final = "pyo3_runtime"  # the module of the library's panics, which derive from BaseException
+
+
+class StoreFailure(Exception):  # noqa: N818 (it is the cause of an error of ours, and never leaves this package)
+    """The store cannot be asked, or refused. The text is the cause in words, with its cure."""
+
+    @property
+    def is_outage(self) -> bool:
+        """Return whether no request can succeed now."""
+        return str(self).startswith(UNREACHABLE)
+
+
+FAILURES: Final = (StoreFailure, FileNotFoundError)
 
 
 class Bucket:
@@ -31,6 +50,7 @@ class Bucket:
     def __init__(self, store: S3Store, address: str) -> None:
         self.address = address  # endpoint and location, unique for each bucket
         self._store = store
+        self._fault = fault_of_environment()
         self._has_conditional_writes = False
 
     @classmethod
@@ -41,12 +61,12 @@ class Bucket:
             RegistryError: the location has no bucket, or the environment does not describe a store.
         """
         bucket, _, prefix = location.removeprefix("s3://").partition("/")
-        if not bucket:
+        if not _BUCKET.fullmatch(bucket) or not prefix.isprintable():
             raise RegistryError("registry: the location names no bucket; a registry in a bucket is s3://bucket/prefix")
         endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
         options: S3Config = {"endpoint": endpoint} if endpoint else {}
         try:
-            store = S3Store(
+            store = S3Store(  # sends nothing, and does not look at what it will send
                 bucket,
                 prefix=prefix.strip("/") or None,
                 config=options,
@@ -61,12 +81,17 @@ class Bucket:
 
     def folders(self, prefix: str = "") -> list[str]:
         """Return the names of the folders directly below a prefix."""
-        found = obstore.list_with_delimiter(self._store, prefix)["common_prefixes"]
-        return [_last(path) for path in found]
+        return self.entries(prefix)[0]
 
     def files(self, prefix: str) -> list[str]:
         """Return the names of the objects directly below a prefix."""
-        return [_last(entry["path"]) for entry in obstore.list_with_delimiter(self._store, prefix)["objects"]]
+        return self.entries(prefix)[1]
+
+    def entries(self, prefix: str = "") -> tuple[list[str], list[str]]:
+        """Return the names of the folders and of the objects directly below a prefix."""
+        with self._asking():
+            found = obstore.list_with_delimiter(self._store, prefix)
+        return [_last(path) for path in found["common_prefixes"]], [_last(entry["path"]) for entry in found["objects"]]
 
     def get(self, key: str, limit: int) -> bytes:
         """Read an object, or raise ``BrokenModelError`` if it has more than ``limit`` bytes."""
@@ -74,23 +99,27 @@ class Bucket:
 
     def get_tagged(self, key: str, limit: int) -> tuple[bytes, str | None]:
         """Read an object and its entity tag, bounded as in ``get``."""
-        result = obstore.get(self._store, key)
-        return _bounded(result, _last(key), limit), result.meta["e_tag"]
+        with self._asking():
+            result = obstore.get(self._store, key)
+            return _bounded(result, _last(key), limit), result.meta["e_tag"]
 
     def tag(self, key: str) -> str | None:
         """Return the entity tag of an object, or None if there is no such object."""
         try:
-            return obstore.head(self._store, key)["e_tag"]
+            with self._asking():
+                return obstore.head(self._store, key)["e_tag"]
         except FileNotFoundError:
             return None
 
     def put(self, key: str, content: bytes) -> None:
         """Create or replace an object."""
-        obstore.put(self._store, key, content)
+        with self._asking():
+            obstore.put(self._store, key, content)
 
     def create(self, key: str, content: bytes) -> None:
         """Create an object, or raise ``AlreadyExistsError``."""
-        obstore.put(self._store, key, content, mode="create")
+        with self._asking():
+            obstore.put(self._store, key, content, mode="create")
 
     def replace(self, key: str, content: bytes, tag: str | None) -> bool:
         """Replace the object if it still has this tag, or create it if the tag is None. Return whether it was written.
@@ -102,17 +131,26 @@ class Bucket:
             if tag is None:
                 self.create(key, content)
             else:
-                obstore.put(self._store, key, content, mode={"e_tag": tag})
+                with self._asking():
+                    obstore.put(self._store, key, content, mode={"e_tag": tag})
         except (AlreadyExistsError, PreconditionError):
-            if self.get(key, len(content) + (4 << 20)) == content:
+            if self.holds(key, content):
                 return True
             time.sleep(0.01)
             return False
         return True
 
+    def holds(self, key: str, content: bytes) -> bool:
+        """Return whether an object has these bytes."""
+        try:
+            return self.get(key, len(content)) == content
+        except BrokenModelError:  # it has more
+            return False
+
     def delete(self, key: str) -> None:
         """Delete an object, if it is there."""
-        obstore.delete(self._store, key)
+        with self._asking():
+            obstore.delete(self._store, key)
 
     def require_conditional_writes(self) -> None:
         """Test once, with a probe object, that the store supports conditional writes. Every promise rests on them.
@@ -122,7 +160,7 @@ class Bucket:
         """
         if self._has_conditional_writes:
             return
-        key = f"probe-{secrets.token_hex(8)}"
+        key = f"{PROBE}{secrets.token_hex(8)}"
         try:
             self.create(key, b"first")
             supported = not self._creates_again(key) and not self.replace(key, b"third", '"0"')
@@ -135,6 +173,27 @@ class Bucket:
             )
         self._has_conditional_writes = True
 
+    @contextlib.contextmanager
+    def _asking(self) -> Iterator[None]:
+        """Turn errors and panics of the library into ``StoreFailure``, except those that answer the request."""
+        if self._fault is not None:
+            raise StoreFailure(self._fault)
+        try:
+            yield
+        except (AlreadyExistsError, PreconditionError, CazslError):
+            raise
+        except FileNotFoundError as error:
+            code, with_body = code_of(error), "performing HEAD" not in str(error)
+            if code == "NoSuchBucket" or (code is None and with_body):  # 404 does not say that the object is missing
+                raise StoreFailure(cause_of(error)) from error
+            raise
+        except (BaseError, OSError, ValueError) as error:
+            raise StoreFailure(cause_of(error)) from error
+        except BaseException as error:
+            if type(error).__module__ != _PANICS:
+                raise
+            raise StoreFailure(PANIC) from error
+
     def _creates_again(self, key: str) -> bool:
         try:
             self.create(key, b"second")
@@ -144,12 +203,8 @@ class Bucket:
 
 
 def reason(error: Exception) -> str:
-    """Return the cause of an error of the store in words, without network addresses."""
-    known = {
-        "PermissionDeniedError": "permission denied",
-        "UnauthenticatedError": "the credentials are refused",
-    }
-    return known.get(type(error).__name__, "the store cannot be reached, or refused the request")
+    """Return the cause of an error of ``FAILURES`` in words."""
+    return "the object is missing" if isinstance(error, FileNotFoundError) else str(error)
 
 
 def _last(path: str) -> str:

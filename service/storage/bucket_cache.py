@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from service.errors import BrokenModelError
+from service.errors import BrokenModelError, RegistryError
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
 from service.model.reference import is_name
 from service.storage.disk import replace_whole
@@ -114,3 +114,18 @@ class Cache:
                 return
             path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             replace_whole(path, content)
+
+
+def cache_folder() -> Path:
+    """Return the folder for caches: CAZSL_CACHE, or .cache/cazsl in the home of the user.
+
+    Raises:
+        RegistryError: the user has no home and the variable is not set.
+    """
+    named = os.environ.get("CAZSL_CACHE")
+    try:
+        return Path(named) if named else Path.home() / ".cache" / "cazsl"
+    except RuntimeError as error:  # the user has no entry in passwd, as in containers
+        raise RegistryError(
+            "the cache of the bucket has no folder: this user has no home; set CAZSL_CACHE to a folder of its own"
+        ) from error

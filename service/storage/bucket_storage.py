@@ -12,63 +12,24 @@ the event, so no event is lost: if its writer dies, the next writer adds it to t
 names is invisible. Versions and states that were read are cached: see ``service.storage.bucket_cache``.
 """
 
-import json
-import os
-import secrets
+import contextlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
 from service.errors import BrokenModelError, ConflictError, PublishError, RegistryError
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest
-from service.model.reference import is_name, parse_version
+from service.model.reference import is_name
 from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding
-from service.storage.bucket import FAILURES, AlreadyExistsError, Bucket, reason
-from service.storage.bucket_cache import Cache
-from service.storage.history import PUBLISH, REMOVE, SIGN, Event, History, ModelState, current_user
+from service.storage.bucket import FAILURES, AlreadyExistsError, Bucket, StoreFailure, reason
+from service.storage.bucket_cache import Cache, cache_folder
+from service.storage.bucket_state import MAX_STATE_BYTES, STATE_FILE, StateFile
+from service.storage.folder_writer import SIGNATURES
+from service.storage.history import MAX_LINE_BYTES, PUBLISH, REMOVE, SIGN, Event, History, ModelState, current_user
+from service.storage.survey import EVENTS, bucket_strangers, event_file, event_number, misplaced_objects
 
-STATE_FILE: Final = "state.json"
-HISTORY: Final = "history"
-SIGNATURES: Final = "signatures"
-MAX_STATE_BYTES: Final = 4 << 20
-MAX_EVENT_BYTES: Final = 64 << 10
 ATTEMPTS: Final = 50  # to make one change while other writers win each race
-
-
-@dataclass(frozen=True)
-class _StateFile:
-    """The content of ``state.json``: the state, the number of events that led to it, and the last event."""
-
-    state: ModelState = field(default_factory=ModelState)
-    generation: int = 0
-    event: bytes = b""
-
-    @classmethod
-    def parse(cls, content: bytes) -> Self:
-        """Parse the JSON document, or raise ``BrokenModelError``."""
-        try:
-            document = json.loads(content)
-            state = ModelState(
-                frozenset(map(int, document["versions"])),
-                {str(alias): int(version) for alias, version in document["aliases"].items()},
-                frozenset(map(int, document["removed"])),
-            )
-            return cls(state, int(document["generation"]), str(document["event"]).encode())
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            raise BrokenModelError(f"{STATE_FILE}: not the state of a model; restore it from a backup") from error
-
-    def render(self) -> bytes:
-        """Render the JSON document."""
-        document = {
-            "versions": sorted(self.state.versions),
-            "aliases": dict(sorted(self.state.aliases.items())),
-            "removed": sorted(self.state.removed),
-            "generation": self.generation,
-            "event": self.event.decode(),
-            "write": secrets.token_hex(8),  # makes the writes of two clients differ even if their content is equal
-        }
-        return json.dumps(document, indent=2).encode() + b"\n"
 
 
 class BucketStorage:
@@ -86,7 +47,7 @@ class BucketStorage:
             RegistryError: the location names no bucket, the environment describes no store, or the cache has no folder.
         """
         bucket = Bucket.at(location)
-        return cls(bucket, Cache((cache or _cache_folder()) / FileDigest.of(bucket.address.encode()).sha256[:32]))
+        return cls(bucket, Cache((cache or cache_folder()) / FileDigest.of(bucket.address.encode()).sha256[:32]))
 
     def models(self) -> list[str]:
         """See ``Storage.models``. If the store cannot be reached, the cached listing is returned."""
@@ -100,18 +61,23 @@ class BucketStorage:
         self._cache.keep_models(names)
         return names
 
+    def strangers(self) -> Sequence[RegistryFinding]:
+        """See ``Storage.strangers``. If the store cannot be reached there are none, and ``models`` tells why."""
+        try:
+            return list(bucket_strangers(self._bucket.entries))
+        except FAILURES:
+            return []
+
     def state(self, name: str) -> ModelState:
         """See ``Storage.state``. If the store cannot be reached, the cached state is returned."""
         try:
-            content = self._bucket.get(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
-        except FileNotFoundError:
-            return ModelState()
+            found, _, content = self._state_file(name)
         except FAILURES as error:
             if (known := self._cache.state(name)) is None:
                 raise RegistryError(f"{name}: the state cannot be read: {reason(error)}") from error
-            return _StateFile.parse(known).state
-        found = _StateFile.parse(content)
-        self._cache.keep_state(name, content)
+            return StateFile.parse(known).state
+        if content is not None:
+            self._cache.keep_state(name, content)
         return found.state
 
     def files(self, name: str, version: int) -> list[str]:
@@ -170,17 +136,27 @@ class BucketStorage:
         return event
 
     def history(self, name: str) -> History:
-        """See ``Storage.history``."""
+        """See ``Storage.history``. The state tells how many events there are, so a missing one is noticed."""
         try:
             found = self._state_file(name)[0]
+            numbers = sorted(filter(None, map(event_number, self._bucket.files(f"{name}/{EVENTS}/"))))
             lines = [
-                self._bucket.get(_event_key(name, number), MAX_EVENT_BYTES) for number in range(1, found.generation)
+                self._bucket.get(_event_key(name, number), MAX_LINE_BYTES)
+                for number in numbers
+                if number < found.generation
             ]
         except FAILURES as error:
             raise RegistryError(f"{name}: the history cannot be read: {reason(error)}") from error
         if sum(map(len, lines)) > MAX_HISTORY_BYTES:
             raise RegistryError(f"{name}: the history is larger than {MAX_HISTORY_BYTES} bytes")
-        return History.parse(b"".join([*lines, found.event]))
+        history = History.parse(b"".join([*lines, found.event]))
+        missing, surplus = max(found.generation - 1, 0) - len(lines), sum(map(found.generation.__lt__, numbers))
+        problems = list(history.problems)
+        if missing:
+            problems.append(f"{missing} of {found.generation} events are missing")
+        if surplus:
+            problems.append(f"{surplus} events are later than {STATE_FILE}, which was put back or cut off")
+        return replace(history, problems=tuple(problems))
 
     def signature(self, name: str, version: int) -> bytes | None:
         """See ``Storage.signature``. If the store cannot be reached, the cached signature is returned."""
@@ -188,8 +164,10 @@ class BucketStorage:
             content = self._bucket.get(f"{name}/{SIGNATURES}/{version}", MAX_SIGNATURE_BYTES)
         except FileNotFoundError:
             return None
-        except FAILURES:
-            return self._cache.signature(name, version)
+        except StoreFailure as error:
+            if error.is_outage:
+                return self._cache.signature(name, version)
+            raise BrokenModelError(f"signature: {reason(error)}") from error
         self._cache.keep_signature(name, version, content)
         return content
 
@@ -204,62 +182,80 @@ class BucketStorage:
     def fingerprint(self) -> Hashable:
         """See ``Storage.fingerprint``. Sends one listing, and one HEAD request per model."""
         try:
-            names = sorted(filter(is_name, self._bucket.folders()))
-            return tuple((name, self._bucket.tag(f"{name}/{STATE_FILE}")) for name in names)
+            folders, _ = self._bucket.entries()
+            return (*sorted(folders), *(self._tag(name) for name in sorted(filter(is_name, folders))))
         except FAILURES as error:
             raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
 
-    def survey(self) -> Sequence[RegistryFinding]:
-        """See ``Storage.survey``. Finds versions that no state names."""
-        advice = (
-            "a writer was interrupted, or is still writing; it only takes space, and can be deleted once no one writes"
-        )
-        found = []
+    def _tag(self, name: str) -> str | None:
+        """Return the tag of a state, or why there is none. Only an outage of the whole store is raised."""
         try:
-            for name in self.models():
-                state = self.state(name)
-                for folder in self._bucket.folders(f"{name}/"):
-                    version = parse_version(folder)
-                    if version is not None and version not in state.versions | state.removed:
-                        found.append(RegistryFinding(f"{name}/{version}", "is incomplete", advice, severe=False))
+            return self._bucket.tag(f"{name}/{STATE_FILE}")
+        except StoreFailure as error:
+            if error.is_outage:
+                raise
+            return str(error)
+
+    def survey(self) -> Sequence[RegistryFinding]:
+        """See ``Storage.survey``."""
+        try:
+            found = list(bucket_strangers(self._bucket.entries))
         except FAILURES as error:
             raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
+        for name in self.models():
+            with contextlib.suppress(RegistryError, *FAILURES):
+                found += misplaced_objects(self._bucket.entries, name, self.state(name))
         return found
 
     def _claim(
         self, name: str, files: Mapping[str, bytes], manifest: Callable[[int], bytes], number: int | None
     ) -> tuple[int, bytes]:
-        """Create the files of a version under an unused number, the manifest last. Return number and manifest."""
+        """Create the files of a version under an unused number, the manifest last. Return number and manifest.
+
+        If the number is given, files that an interrupted writer of the same bytes left are completed.
+        """
         version = self._state_file(name)[0].state.free_number(number)
         while True:
             content = manifest(version)
             try:
-                for file in (MODEL_FILE, CARD_FILE):
-                    self._bucket.create(f"{name}/{version}/{file}", files[file])
-                self._bucket.create(f"{name}/{version}/{MANIFEST_FILE}", content)
+                for file, part in (
+                    (MODEL_FILE, files[MODEL_FILE]),
+                    (CARD_FILE, files[CARD_FILE]),
+                    (MANIFEST_FILE, content),
+                ):
+                    self._create(f"{name}/{version}/{file}", part, completes=number is not None)
             except AlreadyExistsError as error:
                 if number is not None:
                     raise ConflictError(
-                        f"{name}: version {number} exists, or is being published; choose another number"
+                        f"{name}: version {number} is being published with other files, or was left incomplete; "
+                        f"choose another number, or delete {name}/{number}/ in the bucket once no one writes"
                     ) from error
                 version += 1
             else:
                 return version, content
 
+    def _create(self, key: str, content: bytes, completes: bool) -> None:
+        """Create an object. If ``completes``, one that has these bytes already is as good."""
+        try:
+            self._bucket.create(key, content)
+        except AlreadyExistsError:
+            if not completes or not self._bucket.holds(key, content):
+                raise
+
     def _commit(self, name: str, decide: Decision) -> Event:
         """Replace the state if it is still the one that ``decide`` saw. Otherwise decide again."""
         for _ in range(ATTEMPTS):
-            found, tag = self._state_file(name)
+            found, tag, _ = self._state_file(name)
             self._record(name, found)
             event = decide(found.state).stamped(current_user(), FileDigest.of(found.event).sha256)
             line = event.render()
-            after = _StateFile(found.state.after(event), found.generation + 1, line)
+            after = StateFile(found.state.after(event), found.generation + 1, line)
             if self._bucket.replace(f"{name}/{STATE_FILE}", after.render(), tag):
                 self._record(name, after)
                 return event
         raise RegistryError(f"{name}: other writers changed it {ATTEMPTS} times in a row; try again")
 
-    def _record(self, name: str, found: _StateFile) -> None:
+    def _record(self, name: str, found: StateFile) -> None:
         """Write the last event into the history, unless another writer did."""
         if found.generation:
             try:
@@ -267,12 +263,21 @@ class BucketStorage:
             except AlreadyExistsError:
                 return
 
-    def _state_file(self, name: str) -> tuple[_StateFile, str | None]:
+    def _state_file(self, name: str) -> tuple[StateFile, str | None, bytes | None]:
+        """Read the state with its tag and its bytes. A model without a state has neither.
+
+        Raises:
+            BrokenModelError: it is not a state, or it is missing although the model has a history.
+        """
         try:
             content, tag = self._bucket.get_tagged(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
-        except FileNotFoundError:
-            return _StateFile(), None
-        return _StateFile.parse(content), tag
+        except FileNotFoundError as error:
+            if self._bucket.files(f"{name}/{EVENTS}/"):
+                raise BrokenModelError(
+                    f"{name}: {STATE_FILE} is missing, although there is a history; restore it from a backup"
+                ) from error
+            return StateFile(), None, None
+        return StateFile.parse(content), tag, content
 
     def _delete(self, name: str, version: int) -> None:
         """Delete the files of a removed version, except its manifest."""
@@ -286,14 +291,4 @@ class BucketStorage:
 
 
 def _event_key(name: str, number: int) -> str:
-    return f"{name}/{HISTORY}/{number:09d}.json"
-
-
-def _cache_folder() -> Path:
-    named = os.environ.get("CAZSL_CACHE")
-    try:
-        return Path(named) if named else Path.home() / ".cache" / "cazsl"
-    except RuntimeError as error:  # the user has no entry in passwd, as in containers
-        raise RegistryError(
-            "the cache of the bucket has no folder: this user has no home; set CAZSL_CACHE to a folder of its own"
-        ) from error
+    return f"{name}/{EVENTS}/{event_file(number)}"

@@ -4,6 +4,7 @@ Functions raise ``OSError`` if the disk refuses. Two exceptions: ``read_plain`` 
 reads files that others wrote, and ``new_file`` raises ``DataError``, because a person chose its path.
 """
 
+import errno
 import fcntl
 import os
 import secrets
@@ -18,6 +19,7 @@ from typing import IO, Final
 from service.errors import BrokenModelError, DataError
 
 LOCK_PATIENCE_S: Final = 60.0
+MAX_SHOWN: Final = 120  # characters of a file's name in messages
 _FILE: Final = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
@@ -60,7 +62,8 @@ def read_plain(folder: int, file: str, limit: int) -> bytes:
         finally:
             os.close(descriptor)
     except OSError as error:
-        raise BrokenModelError(f"{file}: {reason(error)}") from error
+        known = {errno.ELOOP: "a link; links are not followed", errno.ENXIO: "not a regular file"}  # ENXIO: a socket
+        raise BrokenModelError(f"{file}: {known.get(error.errno or 0, reason(error))}") from error
     if too_large:
         raise BrokenModelError(f"{file}: more than {limit} bytes")
     return content
@@ -78,6 +81,12 @@ def _check_plain(descriptor: int, file: str) -> None:
 def reason(error: OSError) -> str:
     """Return the operating system's message without the path."""
     return error.strerror or "the disk refused"
+
+
+def legible(name: str) -> str:
+    """Return a file's name as text of one line. Unprintable characters are escaped, and a long name is cut."""
+    shown = name[:MAX_SHOWN] + ("..." if len(name) > MAX_SHOWN else "")
+    return "".join(char if char.isprintable() else ascii(char)[1:-1] for char in shown)
 
 
 def must_be_folder(path: Path) -> None:

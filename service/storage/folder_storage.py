@@ -5,11 +5,14 @@
     <name>/signatures/<version>   a detached signature, where there is one
     <name>/removed/<version>/     manifest.json of a removed version: its number is never used again
     <name>/history.jsonl          one line per change, and the lock of every writer
+    <name>/history.head           number and sha256 of the last line
 
 A version becomes visible by one rename of a complete, synced folder. It is removed by one rename into ``removed``.
 Aliases are replaced by a rename. Writers hold an exclusive lock on the history. Staging folders that exist when the
 lock is taken were left by a killed writer, and are deleted. Every write passes through the model's own folder, so one
 stat of that folder shows every change. Links are never followed, and only plain files with one name are read.
+
+What cannot be read is a fault of its own model, and within a model of its own alias, where the disk allows that.
 """
 
 import contextlib
@@ -17,18 +20,19 @@ import errno
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
 from service.errors import BrokenModelError, PublishError, RegistryError
-from service.model.reference import is_alias, is_name, parse_version
+from service.model.reference import is_alias, parse_version
 from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding
 from service.storage.disk import lock, must_be_folder, read_plain, reason
-from service.storage.folder_writer import ALIASES, REMOVED, SIGNATURES, STAGING_PREFIX, FolderWriter
-from service.storage.history import Event, History, ModelState
+from service.storage.folder_writer import HEAD, HISTORY, REMOVED, SIGNATURES, FolderWriter
+from service.storage.history import ALIASES, NO_HEAD, Event, Head, History, ModelState
+from service.storage.survey import folder_models_and_strangers, misplaced_files
 
-HISTORY: Final = "history.jsonl"
+MAX_HEAD_BYTES: Final = 128
 MAX_ALIAS_BYTES: Final = 16
 # A folder that changed this recently may change again within one tick of the disk's clock, so it is polled once more.
 SETTLED_NS: Final = 100_000_000
@@ -43,19 +47,24 @@ class FolderStorage:
 
     def models(self) -> list[str]:
         """See ``Storage.models``. Links are left out."""
-        try:
-            with os.scandir(self.root) as entries:
-                return sorted(e.name for e in entries if is_name(e.name) and e.is_dir(follow_symlinks=False))
-        except OSError as error:
-            raise RegistryError(f"the registry cannot be listed: {error.strerror}") from error
+        return folder_models_and_strangers(self.root)[0]
+
+    def strangers(self) -> Sequence[RegistryFinding]:
+        """See ``Storage.strangers``."""
+        return folder_models_and_strangers(self.root)[1]
 
     def state(self, name: str) -> ModelState:
         """See ``Storage.state``. Aliases are read before versions, so that every alias names a listed version."""
-        aliases = {}
-        for alias in filter(is_alias, self._entries(name, ALIASES)):
-            if (version := self._alias(name, alias)) is not None:
-                aliases[alias] = version
-        return ModelState(_numbers(self._entries(name)), aliases, _numbers(self._entries(name, REMOVED)))
+        aliases: dict[str, int] = {}
+        faults: dict[str, str] = {}
+        for alias in filter(is_alias, self._listed(name, ALIASES, faults)):
+            try:
+                if (version := self._alias(name, alias)) is not None:
+                    aliases[alias] = version
+            except BrokenModelError as error:
+                faults[f"{ALIASES}/{alias}"] = str(error).removeprefix(f"{alias}: ")
+        versions = _numbers(self._entries(name))
+        return ModelState(versions, aliases, _numbers(self._listed(name, REMOVED, faults)), faults)
 
     def files(self, name: str, version: int) -> list[str]:
         """See ``Storage.files``."""
@@ -87,14 +96,29 @@ class FolderStorage:
             raise RegistryError(f"{name}: {reason(error)}; no change was made") from error
 
     def history(self, name: str) -> History:
-        """See ``Storage.history``."""
+        """See ``Storage.history``. The head is read first, so that a line that is added meanwhile is no fault."""
+        head = self._head(name)
         try:
             with self._folder(name) as folder:
-                return History.parse(read_plain(folder, HISTORY, MAX_HISTORY_BYTES))
+                found = History.parse(read_plain(folder, HISTORY, MAX_HISTORY_BYTES), head)
+        except BrokenModelError as error:
+            if not isinstance(error.__cause__, FileNotFoundError):
+                raise
+            found = History.parse(b"", head)
+            if head is None and _numbers(self._entries(name)):
+                found = replace(found, problems=(f"{HISTORY} is missing, although there are versions",))
+        return found
+
+    def _head(self, name: str) -> Head | None:
+        """Return the recorded end of a history, or None for a history that has none."""
+        try:
+            with self._folder(name) as folder:
+                content = read_plain(folder, HEAD, MAX_HEAD_BYTES)
         except BrokenModelError as error:
             if isinstance(error.__cause__, FileNotFoundError):
-                return History()
+                return None
             raise
+        return Head.parse(content) or NO_HEAD
 
     def signature(self, name: str, version: int) -> bytes | None:
         """See ``Storage.signature``."""
@@ -111,48 +135,43 @@ class FolderStorage:
         except OSError as error:
             raise RegistryError(f"{name}@{version}: {reason(error)}; the version was not signed") from error
 
-    def fingerprint(self) -> tuple[tuple[str, int, bool], ...]:
+    def fingerprint(self) -> tuple[tuple[str, object, bool], ...]:
         """See ``Storage.fingerprint``. Makes one listing, and one stat per model."""
         return tuple((name, *_modified(self.root / name)) for name in self.models())
 
     def survey(self) -> Sequence[RegistryFinding]:
         """See ``Storage.survey``."""
-        found = []
-        self.models()  # raises if the root cannot be listed
-        for entry in sorted(self.root.iterdir()):
-            if not is_name(entry.name) or entry.is_symlink() or not entry.is_dir():
-                if not entry.name.startswith("."):
-                    found.append(
-                        RegistryFinding(entry.name, "is not a model's folder", "move it elsewhere", severe=False)
-                    )
-                continue
-            found += [
-                self._unexpected(entry.name, part)
-                for part in sorted(self._entries(entry.name))
-                if not _is_expected(part)
-            ]
+        names, found = folder_models_and_strangers(self.root)
+        for name in names:
+            with contextlib.suppress(RegistryError):
+                found += misplaced_files(name, self._entries)
         return found
 
-    def _unexpected(self, name: str, part: str) -> RegistryFinding:
-        if part.startswith(STAGING_PREFIX):
-            advice = "a writer was interrupted, or is still writing; the next change deletes it"
-            return RegistryFinding(f"{name}/{part}", "is incomplete", advice, severe=False)
-        return RegistryFinding(f"{name}/{part}", "is not part of the layout", "move it elsewhere", severe=False)
-
     def _alias(self, name: str, alias: str) -> int | None:
-        """Return the version that an alias names, or None if the file holds no version.
+        """Return the version that an alias names. None: the alias was dropped in the meantime.
 
         Raises:
-            RegistryError: the disk failed, which is not the same as a missing alias.
+            BrokenModelError: its file cannot be read, or names no version.
         """
         try:
             with self._folder(name, ALIASES) as folder:
                 content = read_plain(folder, alias, MAX_ALIAS_BYTES)
         except BrokenModelError as error:
-            if isinstance(error.__cause__, OSError) and error.__cause__.errno not in (errno.ENOENT, errno.ELOOP):
-                raise RegistryError(f"{name}@{alias} cannot be read: {reason(error.__cause__)}") from error
-            return None
-        return parse_version(content.decode("ascii", "replace").strip())
+            if isinstance(error.__cause__, FileNotFoundError):
+                return None
+            raise
+        version = parse_version(content.decode("ascii", "replace").strip())
+        if version is None:
+            raise BrokenModelError(f"{alias}: holds no number of a version")
+        return version
+
+    def _listed(self, name: str, part: str, faults: dict[str, str]) -> list[str]:
+        """Return the names in a folder of a model. A folder that cannot be listed is a fault."""
+        try:
+            return self._entries(name, part)
+        except RegistryError as error:
+            faults[part] = str(error).removeprefix(f"{name}/{part}: ")
+            return []
 
     def _entries(self, *parts: str) -> list[str]:
         """Return the names in a folder of the registry. A missing folder has none."""
@@ -162,9 +181,9 @@ class FolderStorage:
         except BrokenModelError as error:
             if isinstance(error.__cause__, FileNotFoundError) and self.root.is_dir():
                 return []
-            raise RegistryError(f"the registry cannot be listed: {error}") from error
+            raise
         except OSError as error:
-            raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
+            raise BrokenModelError(f"{'/'.join(parts)}: {reason(error)}") from error
 
     @contextlib.contextmanager
     def _folder(self, *parts: str) -> Iterator[int]:
@@ -178,7 +197,7 @@ class FolderStorage:
                 try:
                     below = os.open(part, _FOLDER, dir_fd=descriptor)
                 except OSError as error:
-                    linked = error.errno == errno.ENOTDIR
+                    linked = error.errno in (errno.ENOTDIR, errno.ELOOP)
                     cause = "not a plain folder; links are not followed" if linked else reason(error)
                     raise BrokenModelError(f"{'/'.join(parts)}: {cause}") from error
                 os.close(descriptor)
@@ -204,14 +223,13 @@ def _numbers(entries: list[str]) -> frozenset[int]:
     return frozenset(number for entry in entries if (number := parse_version(entry)) is not None)
 
 
-def _is_expected(part: str) -> bool:
-    return part in (ALIASES, REMOVED, SIGNATURES, HISTORY) or parse_version(part) is not None
+def _modified(folder: Path) -> tuple[object, bool]:
+    """Return the time of a folder's last change in ns, and whether a later change is sure to have another time.
 
-
-def _modified(folder: Path) -> tuple[int, bool]:
-    """Return the time of a folder's last change in ns, and whether a later change is sure to have another time."""
+    A folder that cannot be asked has its reason in place of the time.
+    """
     try:
         modified = folder.stat().st_mtime_ns
     except OSError as error:
-        raise RegistryError(f"the registry cannot be listed: {reason(error)}") from error
+        return reason(error), True
     return modified, not 0 <= time.time_ns() - modified < SETTLED_NS

@@ -1,144 +1,82 @@
 """History of a model as a chain of lines: publish, alias move, removal. This module reads and writes no files.
 
 ``history.jsonl`` holds one JSON object per line: ``time`` (UTC, ISO 8601), ``who``, ``what``, ``from``, ``to``,
-``reason``, and ``previous``: the sha256 of the line before it, newline included. Changing, removing or inserting a line
-breaks the chain at that place. The first line with ``previous`` covers everything before it, so a history that began
-without a chain continues as one.
+``reason``, ``number`` of the line, and ``previous``: the sha256 of the line before it, newline included. Changing,
+removing or inserting a line breaks the chain at that place. Lines without ``previous`` are accepted only at the start
+of a history and from the days before chains existed. The first line with ``previous`` covers all of them.
 
-A writer that is killed leaves at most a torn last line, or a change without a line. The next writer cuts off the torn
-line or adds the missing one, and records that it did.
+The end of the chain is kept beside the lines, as a ``Head``, so that a history that is cut at its end is noticed too.
+
+A writer that is killed leaves at most a torn last line, a change without a line, or a line that the head lacks. The
+next writer cuts off the torn line or adds the missing one, and records that it did.
+
+A history tells what was asked for from what was only found. A version or an alias that disappeared without a writer's
+order is recorded once it is noticed, but ``History.intended`` keeps it.
 """
 
-import getpass
 import hashlib
-import json
-import os
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import re
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Final, Self
+from typing import Final, Self
 
-from service.errors import ConflictError
+from service.storage.events import (
+    ALIASES,
+    INTERRUPTED,
+    MAX_LINE_BYTES,
+    PUBLISH,
+    REMOVE,
+    REPAIR,
+    SIGN,
+    UNRECORDED,
+    Event,
+    ModelState,
+    current_user,
+    unrecorded,
+)
 
-PUBLISH: Final = "publish"
-REMOVE: Final = "remove"
-REPAIR: Final = "repair"
-SIGN: Final = "sign"
-VANISH: Final = "vanish"
-_ALIAS: Final = "alias "
+__all__ = [
+    "ALIASES",
+    "INTERRUPTED",
+    "MAX_LINE_BYTES",
+    "NO_HEAD",
+    "PUBLISH",
+    "REMOVE",
+    "REPAIR",
+    "SIGN",
+    "UNRECORDED",
+    "Event",
+    "Head",
+    "History",
+    "ModelState",
+    "current_user",
+    "unrecorded",
+]
+
 _NO_HASH: Final = hashlib.sha256().hexdigest()
-UNRECORDED: Final = "recorded afterwards: a writer was interrupted, or files were changed by hand"
+_HEAD: Final = re.compile(rb"([0-9]{1,9}) ([0-9a-f]{64})\n")
+CHAINED_SINCE: Final = datetime(2026, 11, 23, tzinfo=UTC)  # older lines may have no ``previous``
 
 
 @dataclass(frozen=True)
-class ModelState:
-    """Visible state of a model: its versions, the version that each alias names, and the removed numbers."""
+class Head:
+    """End of a history: the number of its lines, and the sha256 of the last one."""
 
-    versions: frozenset[int] = frozenset()
-    aliases: Mapping[str, int] = field(default_factory=dict)
-    removed: frozenset[int] = frozenset()
-
-    @property
-    def next_version(self) -> int:
-        """The smallest number above every number that was ever used."""
-        return max(self.versions | self.removed, default=0) + 1
-
-    def free_number(self, number: int | None) -> int:
-        """Return ``number`` if it was never used. None returns the next version number.
-
-        Raises:
-            ConflictError: the number was used.
-        """
-        if number is None:
-            return self.next_version
-        if number in self.versions:
-            raise ConflictError(f"version {number} exists already; choose another number")
-        if number in self.removed:
-            raise ConflictError(f"version {number} was removed, and its number is never used again; choose another")
-        return number
-
-    def after(self, event: "Event") -> "ModelState":
-        """Return the state after an event."""
-        target = frozenset({event.to} if event.to is not None else ())
-        gone = frozenset({event.before} if event.before is not None else ())
-        if event.what == PUBLISH:
-            return replace(self, versions=self.versions | target, removed=self.removed - target)
-        if event.what in (REMOVE, VANISH):
-            return replace(self, versions=self.versions - gone, removed=self.removed | gone)
-        if event.alias is not None:
-            others = {alias: version for alias, version in self.aliases.items() if alias != event.alias}
-            return replace(self, aliases=others if event.to is None else {**others, event.alias: event.to})
-        return self
-
-
-@dataclass(frozen=True)
-class Event:
-    """One change of a model, or one repair of its history. ``before`` is written as ``from``."""
-
-    what: str
-    before: int | None
-    to: int | None
-    time: str = ""
-    who: str = ""
-    reason: str | None = None
-    manifest: str | None = None  # sha256 of the manifest that was published
-    previous: str | None = None  # None only on lines that were written before chains existed
-
-    @property
-    def alias(self) -> str | None:
-        """The alias that moved, or None for other events."""
-        return self.what.removeprefix(_ALIAS) if self.what.startswith(_ALIAS) else None
+    length: int
+    digest: str
 
     @classmethod
-    def alias_move(cls, alias: str, before: int | None, to: int | None, reason: str | None = None) -> Self:
-        """Create the event of an alias that moves. None for ``to`` drops the alias."""
-        return cls(f"{_ALIAS}{alias}", before, to, reason=reason)
-
-    def stamped(self, who: str, previous: str, now: datetime | None = None) -> Self:
-        """Return the event with its time, its user and the digest of the line before it."""
-        time = (now or datetime.now(UTC)).isoformat(timespec="seconds")
-        return replace(self, time=time, who=who, previous=previous)
+    def parse(cls, content: bytes) -> Self | None:
+        """Parse a head. Return None if it is not one."""
+        found = _HEAD.fullmatch(content)
+        return None if found is None else cls(int(found[1]), found[2].decode())
 
     def render(self) -> bytes:
-        """Render the event as one line of JSON."""
-        document = {
-            "time": self.time,
-            "who": self.who,
-            "what": self.what,
-            "from": self.before,
-            "to": self.to,
-            "reason": self.reason,
-            "manifest": self.manifest,
-            "previous": self.previous,
-        }
-        return (json.dumps({key: value for key, value in document.items() if _wanted(key, value)}) + "\n").encode()
+        """Render the head as one line."""
+        return f"{self.length} {self.digest}\n".encode()
 
-    @classmethod
-    def parse(cls, line: bytes) -> Self | None:
-        """Parse a line. Return None if it is not an event."""
-        try:
-            document = json.loads(line)
-        except (ValueError, RecursionError):
-            return None
-        if not isinstance(document, dict):
-            return None
-        texts = [document.get(key) for key in ("what", "time", "who")]
-        optional = [document.get(key) for key in ("reason", "manifest", "previous")]
-        before, to = document.get("from"), document.get("to")
-        if not (
-            all(isinstance(text, str) for text in texts)
-            and all(text is None or isinstance(text, str) for text in optional)
-            and all(number is None or type(number) is int for number in (before, to))
-        ):
-            return None
-        what, time, who = map(str, texts)
-        reason, manifest, previous = optional
-        return cls(what, before, to, time, who, reason, manifest, previous)
 
-    def as_document(self) -> dict[str, Any]:
-        """Return the JSON document of the event."""
-        document: dict[str, Any] = json.loads(self.render())
-        return document
+NO_HEAD: Final = Head(0, "")  # stands for one that cannot be read
 
 
 @dataclass(frozen=True)
@@ -149,14 +87,19 @@ class History:
     problems: tuple[str, ...] = ()
     torn_bytes: int = 0
     head: str = _NO_HASH  # ``previous`` of the next line
+    length: int = 0  # whole lines
+    cut: str | None = None  # one of the problems: lines are missing at the end
 
     @classmethod
-    def parse(cls, content: bytes) -> Self:
-        """Parse a history, verify its chain, and list the faults."""
+    def parse(cls, content: bytes, head: Head | None = None) -> Self:
+        """Parse a history, verify its chain and compare it with its recorded end. List the faults.
+
+        Lines after the recorded end are no fault: a writer was interrupted before it recorded them.
+        """
         *lines, torn = content.split(b"\n")
         events: list[Event] = []
         problems: list[str] = []
-        head, chained = hashlib.sha256(), False
+        digest, chained, found_head = hashlib.sha256(), False, head is None
         for number, line in enumerate((line + b"\n" for line in lines), start=1):
             event = Event.parse(line)
             if event is None:
@@ -164,16 +107,54 @@ class History:
             else:
                 events.append(event)
                 if event.previous is not None or chained:
-                    if event.previous != head.hexdigest():
+                    if event.previous != digest.hexdigest():
                         problems.append(f"the chain breaks at line {number}: a line before it was changed")
                     chained = True
+                elif not _is_older_than_chains(event):
+                    problems.append(f"line {number} has no link to the line before it: the chain was taken out")
+            if head is not None and number == head.length:
+                found_head = hashlib.sha256(line).hexdigest() == head.digest
             if chained:
-                head = hashlib.sha256(line)
+                digest = hashlib.sha256(line)
             else:
-                head.update(line)
+                digest.update(line)
+        cut = None
+        if head == NO_HEAD:
+            cut = "the record of its last line cannot be read, so lines may have been cut off"
+        elif not found_head and head is not None and not (torn and head.length == len(lines) + 1):
+            cut = f"the last line is not line {head.length} as it was recorded: lines were cut off or changed"
+        elif head is None and any(event.number is not None for event in events):
+            cut = "the record of its last line is missing, so lines may have been cut off"
+        if cut is not None:
+            problems.append(cut)
         if torn:
             problems.append(f"the last line is torn ({len(torn)} bytes): a writer was interrupted")
-        return cls(tuple(events), tuple(problems), len(torn), head.hexdigest())
+        return cls(tuple(events), tuple(problems), len(torn), digest.hexdigest(), len(lines), cut)
+
+    def intended(self) -> ModelState:
+        """Return the state that writers asked for. What only disappeared is still part of it."""
+        found = ModelState()
+        for event in self.events:
+            found = found if event.is_absence else found.after(event)
+        return found
+
+    def lost(self, actual: ModelState) -> ModelState:
+        """Return the versions and aliases that writers asked for and never removed, and that are not there."""
+        intended = self.intended()
+        absent = {
+            alias: version
+            for alias, version in intended.aliases.items()
+            if alias not in actual.aliases and not actual.is_unknown(alias)
+        }
+        return ModelState(intended.versions - actual.versions - actual.removed, absent)
+
+    def gave_up(self, alias: str) -> bool:
+        """Return whether a writer dropped an alias, and no writer set it again."""
+        return alias not in self.intended().aliases and any(event.alias == alias for event in self.events)
+
+    def has_signing(self, version: int) -> bool:
+        """Return whether the history has the signing of a version."""
+        return any(event.what == SIGN and event.to == version for event in self.events)
 
     def state(self, until: datetime | None = None) -> ModelState:
         """Return the state after all events up to and including an instant."""
@@ -185,22 +166,9 @@ class History:
         return found
 
 
-def unrecorded(recorded: ModelState, actual: ModelState) -> Sequence[Event]:
-    """Return the events that lead from the recorded state to the actual one."""
-    return tuple(replace(event, reason=UNRECORDED) for event in _differences(recorded, actual))
-
-
-def _differences(recorded: ModelState, actual: ModelState) -> Iterable[Event]:
-    for version in sorted(actual.versions - recorded.versions):
-        yield Event(PUBLISH, None, version)
-    for alias in sorted(actual.aliases.keys() | recorded.aliases.keys()):
-        before, to = recorded.aliases.get(alias), actual.aliases.get(alias)
-        if before != to:
-            yield Event.alias_move(alias, before, to)
-    for version in sorted(recorded.versions - actual.versions):
-        yield Event(REMOVE if version in actual.removed else VANISH, version, None)
-    for version in sorted(actual.removed - recorded.removed - recorded.versions - actual.versions):
-        yield Event(REMOVE, version, None)
+def _is_older_than_chains(event: Event) -> bool:
+    moment = _moment(event.time)
+    return moment is not None and moment < CHAINED_SINCE
 
 
 def _moment(text: str) -> datetime | None:
@@ -209,15 +177,3 @@ def _moment(text: str) -> datetime | None:
     except ValueError:
         return None
     return found if found.tzinfo is not None else found.replace(tzinfo=UTC)
-
-
-def _wanted(key: str, value: object) -> bool:
-    return value is not None or key in ("from", "to")
-
-
-def current_user() -> str:
-    """Return the name of the user that runs this process, or the number if it has no name."""
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # a container's user without an entry in passwd
-        return str(os.getuid())

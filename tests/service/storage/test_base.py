@@ -1,5 +1,11 @@
-"""Tests of the promises of every storage, run against a folder and against a bucket."""
+"""Tests of the promises of every storage, run against a folder and against a bucket.
 
+A fault is its own model's: all others are served and followed. Absence is no intent: only a recorded removal unloads.
+"""
+
+import contextlib
+import errno
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -7,47 +13,31 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 import pytest
+from fastapi.testclient import TestClient
 
+from service.app import create_app
 from service.errors import BrokenModelError, ConflictError, InUseError, RegistryError, UnknownModelError
+from service.inference.loaded_models import LoadedModels
 from service.model.reference import ModelReference
-from service.registry.location import open_registry
+from service.model.tensors import ContextKind
+from service.registry.doctor import examine
 from service.registry.registry import NOWHERE, Registry
-from tests.fakes import draft_manifest, publish_fake
-from tests.s3_server import BUCKET, Server, running_server
+from service.settings import Settings
+from service.storage.folder_storage import FolderStorage
+from service.storage.history import ModelState
+from tests.fakes import draft_manifest, load_fake, publish_fake
+from tests.service.storage.faults import (
+    BUCKET_FAULTS,
+    BUCKET_LOSSES,
+    BUCKET_STRANGERS,
+    FOLDER_FAULTS,
+    FOLDER_LOSSES,
+    FOLDER_STRANGERS,
+)
 
 NAME = "push-indicator"
-
-
-@pytest.fixture(scope="module")
-def server() -> Iterator[Server]:
-    """One S3 server for all tests of this file."""
-    with running_server() as found:
-        yield found
-
-
-@pytest.fixture(params=["folder", "bucket"])
-def place(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Registry]:
-    """Return a function that opens a registry by name, as a new process with an empty cache would."""
-    opened = 0
-
-    def folder(name: str) -> Registry:
-        """Open a registry in a folder."""
-        return open_registry(str(tmp_path / name))
-
-    def bucket(name: str) -> Registry:
-        """Open a registry in a prefix of a bucket, with a cache of its own."""
-        nonlocal opened
-        opened += 1
-        monkeypatch.setenv("CAZSL_CACHE", str(tmp_path / f"cache-{opened}"))
-        return open_registry(f"s3://{BUCKET}/{name}")
-
-    if request.param == "folder":
-        return folder
-    server: Server = request.getfixturevalue("server")
-    server.empty()
-    for key, value in server.environment.items():
-        monkeypatch.setenv(key, value)
-    return bucket
+ODD = "zzz"
+Place = Callable[[str], Registry]
 
 
 @pytest.fixture
@@ -266,3 +256,231 @@ def test_copy_never_replaces_a_version(registry: Registry, place: Callable[[str]
     with pytest.raises(ConflictError, match="never used again"):
         other.copy(registry, NAME, 2)
     assert other.read(NAME, 1).model == b"other"
+
+
+def every(folder: object, bucket: object) -> list[object]:
+    """Return the parameters of a test: the kinds of both storages."""
+    kinds = {"folder": folder, "bucket": bucket}
+    return [pytest.param(kind, each, id=f"{kind}: {each!r}") for kind in kinds for each in kinds[kind]]  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def places(request: pytest.FixtureRequest, kind: str) -> Place:
+    """Return the function that opens registries in this kind of storage."""
+    found: Place = request.getfixturevalue(f"{kind}_place")
+    return found
+
+
+@pytest.fixture
+def two_models(places: Place) -> Registry:
+    """A registry with two models. The odd one, which sorts last, gets the fault."""
+    found = places("models")
+    publish_fake(found)
+    publish_fake(found, alias=None)
+    publish_fake(found, ODD)
+    publish_fake(found, ODD, alias=None)
+    return found
+
+
+@pytest.fixture
+def models(two_models: Registry) -> LoadedModels:
+    """Return its loaded models."""
+    loaded = LoadedModels(two_models, load_fake)
+    loaded.refresh()
+    assert (loaded.snapshot.problems, len(loaded.snapshot.models)) == ((), 4)
+    return loaded
+
+
+def champion(models: LoadedModels, name: str) -> int:
+    """Return the version that answers for a name."""
+    return models.snapshot.find(ModelReference.parse(name)).manifest.version
+
+
+@pytest.mark.parametrize(("kind", "fault"), every(FOLDER_FAULTS, BUCKET_FAULTS))
+def test_fault_of_one_model_stays_with_it(
+    kind: str, fault: str, two_models: Registry, models: LoadedModels, places: Place
+) -> None:
+    """A model that cannot be read stays served. The other one is followed, and is served by a new process.
+
+    The fault is named with its model in problems, metrics and the diagnosis, and it does not hide a new change.
+    """
+    (FOLDER_FAULTS if kind == "folder" else BUCKET_FAULTS)[fault](two_models, ODD)
+    models.refresh()
+    assert champion(models, ODD) == 1
+    two_models.point_alias(NAME, "champion", 2)
+    models.refresh()
+    assert (champion(models, NAME), champion(models, ODD)) == (2, 1)
+    assert models.counters.registry_up
+    assert [problem for problem in models.snapshot.problems if problem.startswith(ODD)]
+    assert all(problem.isprintable() for problem in models.snapshot.problems)
+    assert {name for name, count in models.snapshot.problem_counts.items() if count} == {ODD}
+    fresh = LoadedModels(places("models"), load_fake)
+    fresh.refresh()
+    assert champion(fresh, NAME) == 2
+    assert [problem for problem in fresh.snapshot.problems if problem.startswith(ODD)]
+    severe = [finding for finding in examine(places("models"), load_fake) if finding.severe]
+    assert severe
+    assert all(finding.where.startswith(ODD) for finding in severe)
+    assert publish_fake(two_models, "push-none", ContextKind.NONE) == 1
+    fresh.refresh()
+    assert champion(fresh, "push-none") == 1
+
+
+@pytest.mark.parametrize(("kind", "shown"), every(FOLDER_STRANGERS, BUCKET_STRANGERS))
+def test_entry_in_a_models_place_is_named_and_stops_no_model(
+    kind: str, shown: str, two_models: Registry, models: LoadedModels
+) -> None:
+    """An entry that is no model, in a model's place, is named without a character that a terminal obeys."""
+    (FOLDER_STRANGERS if kind == "folder" else BUCKET_STRANGERS)[shown](two_models)
+    two_models.point_alias(NAME, "champion", 2)
+    models.refresh()
+    assert (champion(models, NAME), champion(models, ODD)) == (2, 1)
+    (problem,) = models.snapshot.problems
+    assert problem.startswith(f"{shown} is ")
+    assert models.snapshot.problem_counts[shown] == 1
+    (finding,) = examine(two_models, load_fake)
+    assert (finding.where, finding.severe) == (shown, True)
+
+
+@pytest.mark.parametrize(("kind", "loss"), every(FOLDER_LOSSES, [loss for loss in BUCKET_LOSSES if loss != "versions"]))
+def test_absence_without_a_removal_unloads_no_model(
+    kind: str, loss: str, two_models: Registry, models: LoadedModels
+) -> None:
+    """A default model whose content disappears stays served, and the service is ready and names the absence.
+
+    Other changes are followed. The objects of a version are not asked for again while it is loaded.
+    """
+    harms = FOLDER_LOSSES if kind == "folder" else BUCKET_LOSSES
+    harms[loss](two_models, NAME)
+    with TestClient(create_app(Settings(poll_interval_s=3600), models)) as client:
+        for _ in range(2):
+            models.refresh()
+            assert (champion(models, NAME), champion(models, ODD)) == (1, 1)
+            ready = client.get("/readyz")
+            assert ready.status_code == 200
+            assert [problem for problem in ready.json()["problems"] if NAME in problem or "listed" in problem]
+    if loss not in ("registry", "all models"):
+        publish_fake(two_models, ODD)
+        models.refresh()
+        assert (champion(models, NAME), champion(models, ODD)) == (1, 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "loss"),
+    [("folder", loss) for loss in FOLDER_LOSSES if loss not in ("content of the model", "model")]
+    + [("bucket", loss) for loss in BUCKET_LOSSES if loss not in ("state and history", "model")],
+)
+def test_new_process_is_not_ready_without_a_recorded_default_model(
+    kind: str, loss: str, two_models: Registry, places: Place
+) -> None:
+    """A new process is not ready while a default model that the two_models records does not answer.
+
+    Losses that leave no trace of the model are left out.
+    """
+    publish_fake(two_models, "push-none", ContextKind.NONE)
+    (FOLDER_LOSSES if kind == "folder" else BUCKET_LOSSES)[loss](two_models, NAME)
+    fresh = LoadedModels(places("models"), load_fake)
+    with TestClient(create_app(Settings(poll_interval_s=3600), fresh)) as client:
+        ready = client.get("/readyz")
+        assert ready.status_code == 503
+        assert ready.json()["reason"].startswith("not ready, looking again every 3600 s, because ")
+        assert ready.json()["problems"]
+
+
+@pytest.fixture
+def kind(request: pytest.FixtureRequest) -> str:
+    """Return the kind of storage, for tests that need no faults of its own."""
+    return str(request.param)
+
+
+@pytest.mark.parametrize("kind", ["folder", "bucket"], indirect=True)
+def test_recorded_removal_of_lost_content_is_obeyed(kind: str, two_models: Registry, models: LoadedModels) -> None:
+    """An operator can record the end of a version and of an alias that disappeared. Both are unloaded then."""
+    losses = FOLDER_LOSSES if kind == "folder" else BUCKET_LOSSES
+    publish_fake(two_models, ODD, alias="canary")
+    models.refresh()
+    losses["versions"](two_models, ODD)
+    if kind == "folder":
+        FOLDER_LOSSES["aliases"](two_models, ODD)
+    two_models.drop_alias(ODD, "champion")
+    two_models.remove(ODD, 1, reason="lost")
+    models.refresh()
+    assert (ODD, "champion") not in models.snapshot.aliases
+    assert 1 not in models.snapshot.versions(ODD)
+    assert models.snapshot.aliases_of(ODD) == {"canary": 3}
+
+
+@contextlib.contextmanager
+def without_rights() -> Iterator[None]:
+    """Act as a user that is not root. Root may read every folder."""
+    is_root = os.geteuid() == 0
+    if is_root:
+        os.seteuid(12345)
+    try:
+        yield
+    finally:
+        if is_root:
+            os.seteuid(0)
+
+
+@pytest.mark.parametrize("part", ["", "aliases", "aliases/champion"])
+def test_entry_without_rights_is_a_fault_of_its_model(folder_place: Place, tmp_path: Path, part: str) -> None:
+    """A folder or a file that the service may not read stops no other model."""
+    registry = folder_place("models")
+    publish_fake(registry)
+    publish_fake(registry, ODD)
+    for parent in tmp_path.parents:
+        if parent.stat().st_uid == os.getuid() and parent != Path("/"):
+            parent.chmod(parent.stat().st_mode | 0o055)
+    tmp_path.chmod(0o755)
+    models = LoadedModels(registry, load_fake)
+    with without_rights():
+        models.refresh()
+    path = registry.root / ODD / part
+    path.chmod(0)
+    publish_fake(registry)
+    with without_rights():
+        models.refresh()
+        fresh = LoadedModels(folder_place("models"), load_fake)
+        fresh.refresh()
+        found = [finding for finding in examine(registry, load_fake) if finding.severe]
+    path.chmod(0o755)
+    assert (champion(models, NAME), champion(models, ODD), champion(fresh, NAME)) == (2, 1, 2)
+    for each in (models.snapshot, fresh.snapshot):
+        assert [problem for problem in each.problems if ODD in problem and "Permission denied" in problem]
+    assert [finding for finding in found if ODD in finding.where and "Permission denied" in finding.wrong]
+
+
+class FailingDisk(FolderStorage):
+    """A disk that cannot read one model: it reports an input/output error."""
+
+    def _entries(self, *parts: str) -> list[str]:
+        if parts[0] == ODD:
+            raise BrokenModelError(f"{ODD}: {os.strerror(errno.EIO)}")
+        return super()._entries(*parts)
+
+
+class Buggy(FolderStorage):
+    """A storage with a bug that one model meets."""
+
+    def state(self, name: str) -> ModelState:
+        """See ``Storage.state``."""
+        if name == ODD:
+            raise ZeroDivisionError
+        return super().state(name)
+
+
+@pytest.mark.parametrize(("storage", "cause"), [(FailingDisk, "Input/output error"), (Buggy, "the log has the cause")])
+def test_failing_disk_or_bug_of_one_model_stays_with_it(
+    folder_place: Place, storage: type[FolderStorage], cause: str
+) -> None:
+    """An input/output error, and a bug, that one model meets stop no other one."""
+    registry = folder_place("models")
+    publish_fake(registry)
+    publish_fake(registry, ODD)
+    models = LoadedModels(Registry(storage(registry.root)), load_fake)
+    models.refresh()
+    publish_fake(registry)
+    models.refresh()
+    assert champion(models, NAME) == 2
+    assert [problem for problem in models.snapshot.problems if problem.startswith(ODD) and cause in problem]
