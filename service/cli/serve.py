@@ -16,6 +16,7 @@ from service.cli.config import configured, settings_options
 from service.cli.terminal import FAILED, echo
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
+from service.model.trial import expect_trials
 from service.observability.log_writer import LogWriter
 from service.observability.logs import RequestLog, configure_logging, log_uncaught
 from service.registry.location import open_registry, trusted_keys
@@ -36,6 +37,7 @@ def serve(**options: Any) -> None:
     log = LogWriter()
     configure_logging(settings.log_level, log)
     log_uncaught()
+    expect_trials()
     keys = trusted_keys(settings.require_signature)
     registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)

@@ -44,6 +44,11 @@ def try_out(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -
     return _trials(os.getpid()).result(model, inputs, outputs)
 
 
+def expect_trials() -> None:
+    """Start the process of trials ahead of the first one, which then need not wait for it."""
+    _trials(os.getpid()).start()
+
+
 @functools.cache
 def _trials(_: int) -> "Trials":
     """Return the trials of this process. One that was forked has none of its parent's."""
@@ -68,6 +73,11 @@ class Trials:
         self._process: subprocess.Popen[bytes] | None = None
         self._results: OrderedDict[bytes, GraphSize | str] = OrderedDict()  # size, or the reason of the refusal
         self._kills: Counter[bytes] = Counter()
+
+    def start(self) -> None:
+        """Start the trial process. If none can be started, the first trial tells the reason."""
+        with self._lock, contextlib.suppress(RegistryError):
+            self._running()
 
     def result(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> GraphSize:
         """See ``try_out``."""

@@ -41,6 +41,18 @@ def test_a_graph_is_tried_once_and_another_one_by_the_same_process(tmp_path: Pat
     assert count.read_text() == "x"
 
 
+def test_a_process_that_was_started_ahead_is_the_one_that_tries(tmp_path: Path) -> None:
+    """A process can be started before there is a graph. A second start has no effect, and a failed one no error."""
+    count = tmp_path / "started"
+    code = f"open({str(count)!r}, 'a').write('x'); from service.model.trial_process import main; main()"
+    trials = Trials(["-c", code])
+    trials.start()
+    trials.start()
+    assert trials.result(VALID, *TENSORS).row_bytes == 24
+    assert count.read_text() == "x"
+    trials.close()
+
+
 def test_a_process_that_ended_for_want_of_work_is_replaced(tmp_path: Path) -> None:
     """A process that ends with status 0, even while it is asked, is started again. It is not the fault of a graph."""
     mark = tmp_path / "mark"
