@@ -1,18 +1,29 @@
-"""Code blocks of docs/api.md and docs/client.md, run in the order of the page against a service process."""
+"""Code blocks of the pages in docs/, run in the order of the page, against a service process where there is a need."""
 
+import contextlib
+import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
+import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+from click.testing import CliRunner
 from PIL import Image
 
 from service import errors
+from service.cli.main import main
+from service.registry.registry import Registry
 from tests.documented_api import listed_errors
-from tests.running_service import ROOT, serve
+from tests.running_service import ROOT, free_port, serve
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
@@ -38,10 +49,10 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(command: list[str], code: str, folder: Path) -> str:
+def run(command: list[str], code: str, folder: Path, environment: dict[str, str] | None = None) -> str:
     """Run a command with code on standard input. Check that it succeeds, and return its output."""
-    done = subprocess.run(command, input=code, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr + done.stdout
+    done = subprocess.run(command, input=code, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, code + done.stderr + done.stdout
     return done.stdout
 
 
@@ -87,3 +98,86 @@ def test_every_error_that_a_client_can_get_is_in_the_table() -> None:
     for kind in known:
         if kind not in never_sent and not issubclass(kind, errors.RegistryError):
             assert (int(kind.status), kind.code) in listed_errors(), kind
+
+
+# Commands that a test cannot run: they need a network, a cluster, a container, hours, or run until they are stopped.
+NOT_RUN = (
+    "pip install",
+    "docker ",
+    "kubectl ",
+    "export CAZSL_REGISTRY=s3:",
+    "cazsl models push push-indicator@4 s3:",
+    "cazsl-train reproduce",
+    "CAZSL_TEST_CONTAINER=",
+)
+UNTIL_STOPPED = " cazsl serve"
+
+
+def commands(page: str) -> list[str]:
+    """Return the shell commands of a page, without those that a test cannot run."""
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    blocks = re.findall(r"^```sh\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines() if line.strip()]
+    return [line for line in lines if not line.startswith(NOT_RUN) and "--ray" not in line]
+
+
+@pytest.fixture
+def workplace(tmp_path: Path) -> tuple[Path, dict[str, str]]:
+    """Return a folder with the shipped models, two more versions and a file of pushes, and an environment for cazsl."""
+    (tmp_path / "bin").mkdir()
+    command = tmp_path / "bin" / "cazsl"
+    command.write_text(f"#!{sys.executable}\nfrom service.cli.main import main\nmain()\n", encoding="utf-8")
+    command.chmod(0o755)
+    shutil.copytree(ROOT / "models", tmp_path / "models")
+    registry = Registry(tmp_path / "models")
+    second = registry.read("push-indicator", 2)
+    for _ in range(2):
+        registry.publish(second.manifest, second.model, second.card)
+    columns = {"x_m": [-0.08], "y_m": [0.0], "angle_rad": [0.0], "descriptor": ["1a2b3c4a"]}
+    pq.write_table(pa.table(columns), tmp_path / "pushes.parquet")
+    path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return tmp_path, {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
+
+
+@pytest.mark.parametrize(("page", "count"), [("registry.md", 14), ("operations.md", 6)])
+def test_every_command_of_a_page_runs_as_written(
+    workplace: tuple[Path, dict[str, str]], monkeypatch: pytest.MonkeyPatch, page: str, count: int
+) -> None:
+    """The commands of a page succeed in its order, in a folder with models. Only the folder of keys is another one."""
+    folder, environment = workplace
+    monkeypatch.chdir(folder)
+    found = commands(page)
+    assert len(found) == count
+    for line in found:
+        if line.startswith("cazsl ") and ">" not in line:  # in this process, which has loaded the libraries
+            result = CliRunner().invoke(main, shlex.split(line, comments=True)[1:])
+            assert result.exit_code == 0, f"{line}\n{result.output}"
+        elif UNTIL_STOPPED in line:
+            starts_and_stops(in_folder(line, folder), environment)
+        else:
+            run(["bash", "-e"], in_folder(line, folder), folder, environment)
+
+
+def in_folder(line: str, folder: Path) -> str:
+    """Return a command with the folder of keys inside of a folder of the test."""
+    return line.replace("/etc/cazsl", str(folder / "etc"))
+
+
+def starts_and_stops(line: str, environment: dict[str, str]) -> None:
+    """Start a service by a command, wait until it answers, and end it in order."""
+    variables, _, _ = line.partition("cazsl serve")
+    port = free_port()
+    command = ["bash", "-c", f"{variables} exec cazsl serve"]
+    process = subprocess.Popen(command, env={**environment, "CAZSL_PORT": str(port)})
+    try:
+        for _ in range(600):
+            with contextlib.suppress(OSError), urllib.request.urlopen(f"http://127.0.0.1:{port}/livez") as answer:
+                assert answer.status == 200
+                break
+            time.sleep(0.1)
+            assert process.poll() is None, line
+        process.terminate()
+        assert process.wait(60.0) == 0, line
+    finally:
+        process.kill()
+        process.wait()

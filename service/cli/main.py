@@ -7,6 +7,7 @@ from service.cli.command_line import HELP, CommandLine
 from service.cli.config import config
 from service.cli.keys import keys
 from service.cli.model_changes import CHANGES
+from service.cli.model_checks import CHECKS
 from service.cli.models import models
 from service.cli.predict import predict
 from service.cli.serve import serve
@@ -31,5 +32,5 @@ def main() -> None:
 
 for command in (serve, config, models, keys, predict):
     main.add_command(command)
-for change in CHANGES:
-    models.add_command(change)
+for command in (*CHECKS, *CHANGES):
+    models.add_command(command)

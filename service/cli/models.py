@@ -1,4 +1,4 @@
-"""``cazsl models``: list, verify, compare and inspect the models of a registry."""
+"""``cazsl models``: list, compare and inspect the models of a registry."""
 
 import itertools
 import json
@@ -10,17 +10,15 @@ from typing import Any
 import click
 
 from service.cli.command_line import HELP, argument, errors_as_one_line, json_option, option, registry_option
+from service.cli.registries import open_unsigned
 from service.cli.terminal import FAILED, echo, echo_lines, print_json
 from service.errors import CazslError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
 from service.model.reference import DEFAULT_ALIAS, ModelReference
-from service.registry.doctor import examine
 from service.registry.loading import load_version
-from service.registry.location import open_registry
 from service.registry.registry import Registry
-from service.storage.base import RegistryFinding
 from service.storage.history import Event, ModelState
 
 
@@ -56,8 +54,8 @@ def load_reference(registry: Registry, reference: str) -> LoadedModel:
 @errors_as_one_line
 def list_models(registry: str, as_json: bool) -> None:
     """List every model with its versions and aliases. Exit status 1 if a part cannot be read; the rest is listed."""
-    store = open_registry(registry)
-    states = {name: _state_or_fault(store, name) for name in store.names()}
+    store = open_unsigned(registry)
+    states = {name: state_or_fault(store, name) for name in store.names()}
     if as_json:
         print_json(
             [
@@ -72,7 +70,7 @@ def list_models(registry: str, as_json: bool) -> None:
         sys.exit(FAILED)
 
 
-def _state_or_fault(store: Registry, name: str) -> ModelState:
+def state_or_fault(store: Registry, name: str) -> ModelState:
     """Return the state of a model. One that cannot be read has the cause as its only content."""
     try:
         return store.state(name)
@@ -97,44 +95,12 @@ def _print_states(states: Mapping[str, ModelState]) -> None:
 @errors_as_one_line
 def show(reference: str, as_json: bool, registry: str) -> None:
     """Print the card of a version, or its manifest with --json. REFERENCE is NAME, NAME@ALIAS or NAME@VERSION."""
-    store, parsed = open_registry(registry), ModelReference.parse(reference, "reference")
+    store, parsed = open_unsigned(registry), ModelReference.parse(reference, "reference")
     version = store.read(parsed.name, store.resolve(parsed))
     if as_json:
         print_json(json.loads(version.manifest.render()))
     else:
         echo_lines(version.card)
-
-
-@models.command("verify")
-@argument("reference", required=False)
-@json_option
-@registry_option
-@errors_as_one_line
-def verify(reference: str | None, as_json: bool, registry: str) -> None:
-    """Verify digests, graph, tensors and self-check of one version, or of all. Exit status 1 if any fails."""
-    store = open_registry(registry)
-    states = {} if reference else {name: _state_or_fault(store, name) for name in store.names()}
-    references = [reference] if reference else [f"{n}@{v}" for n in states for v in sorted(states[n].versions)]
-    found: list[dict[str, Any]] = [
-        {"reference": f"{name}{'/' * bool(place)}{place}", "ok": False, "detail": cause}
-        for name, state in states.items()
-        for place, cause in state.faults.items()
-    ]
-    for each in references:
-        try:
-            manifest = load_reference(store, each).manifest
-            found.append({"reference": f"{manifest.name}@{manifest.version}", "ok": True, "detail": None})
-        except UnknownModelError:
-            raise
-        except CazslError as error:
-            found.append({"reference": each, "ok": False, "detail": str(error)})
-    if as_json:
-        print_json(found)
-    else:
-        for line in found:
-            echo(f"{line['reference']}  " + ("ok" if line["ok"] else f"BROKEN  {line['detail']}"), err=not line["ok"])
-    if not all(line["ok"] for line in found):
-        sys.exit(FAILED)
 
 
 @models.command("diff")
@@ -146,7 +112,7 @@ def verify(reference: str | None, as_json: bool, registry: str) -> None:
 @errors_as_one_line
 def diff(first: str, second: str, everything: bool, as_json: bool, registry: str) -> None:
     """Compare metrics, calibration, recipe, data and preprocessing of two versions."""
-    store = open_registry(registry)
+    store = open_unsigned(registry)
     sides = []
     for reference in (first, second):
         parsed = ModelReference.parse(reference, "reference")
@@ -200,7 +166,7 @@ def _change(before: Any, after: Any) -> str:
 @errors_as_one_line
 def history(name: str, as_json: bool, registry: str) -> None:
     """List every publish, alias move and removal of a model. Exit status 1 if the chain of digests is broken."""
-    store = open_registry(registry)
+    store = open_unsigned(registry)
     found, unrecorded = store.history(name), store.unrecorded(name)
     if as_json:
         print_json(
@@ -237,7 +203,7 @@ def at(reference: str, when: str, as_json: bool, registry: str) -> None:
     parsed = ModelReference.parse(reference, "reference")
     moment = _moment(when)
     alias = parsed.alias or DEFAULT_ALIAS
-    version = open_registry(registry).alias_at(parsed.name, alias, moment)
+    version = open_unsigned(registry).alias_at(parsed.name, alias, moment)
     if version is None:
         raise UnknownModelError(
             f"{parsed.name}@{alias} named no version at {moment.isoformat()}; see `cazsl models history {parsed.name}`"
@@ -258,26 +224,3 @@ def _moment(text: str) -> datetime:
     if len(text) <= len("2026-11-01"):
         found = datetime.combine(found, time.max)
     return found if found.tzinfo else found.replace(tzinfo=UTC)
-
-
-@models.command("doctor")
-@json_option
-@registry_option
-@errors_as_one_line
-def doctor(as_json: bool, registry: str) -> None:
-    """List the faults of the registry, each with its remedy. Exit status 1 if predictions suffer."""
-    found = list(examine(open_registry(registry), OnnxPredictor))
-    if as_json:
-        print_json([vars(finding) for finding in found])
-    else:
-        for finding in found:
-            _print_finding(finding)
-        if not found:
-            echo("no faults found")
-    if any(finding.severe for finding in found):
-        sys.exit(FAILED)
-
-
-def _print_finding(finding: RegistryFinding) -> None:
-    echo(f"{'BROKEN' if finding.severe else 'note  '}  {finding.where}: {finding.wrong}")
-    echo(f"        -> {finding.advice}")

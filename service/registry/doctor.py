@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from service.errors import BrokenModelError, CazslError
 from service.model.predictor import PredictorFactory
 from service.registry.loading import load_version
+from service.registry.promotion import is_forced, judge, refusals
 from service.registry.registry import Registry
 from service.storage.base import RegistryFinding
 from service.storage.history import ALIASES, ModelState, unrecorded
@@ -31,9 +32,16 @@ def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Ite
     for version in sorted(state.versions):
         named = sorted(alias for alias, to in state.aliases.items() if to == version)
         try:
-            load_version(registry, load, name, version)
+            model = load_version(registry, load, name, version)
+            refused = refusals(judge(model, None, registry.domain)) if named else ""
         except CazslError as error:
             yield RegistryFinding(f"{name}/{version}", str(error), _remedy(error, name, version, named), severe=True)
+            continue
+        for alias in named if refused else ():
+            forced = is_forced(history, alias, version)
+            advice = f"promote another version, or go back: cazsl models rollback {name} --alias {alias}"
+            wrong = f"names version {version}, which gates refuse: {refused}{' (its promotion was forced)' * forced}"
+            yield RegistryFinding(f"{name}@{alias}", wrong, advice, severe=not forced)
     for alias, version in sorted(state.aliases.items()):
         if version not in state.versions:
             advice = f"point it at an existing version: cazsl models promote {name} VERSION --alias {alias}"

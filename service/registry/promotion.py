@@ -1,4 +1,4 @@
-"""Promotion of a version: run the gates, compare with the champion, move the alias. A rollback moves it back.
+"""Promotion of a version: run the gates, compare with the champion, move the alias. A rollback runs them too.
 
 A version must pass the physics gates of its domain, and its held-out figures must not be worse than those of the
 version that the alias names now. The figures are those of the manifests. They are comparable only if both versions were
@@ -6,11 +6,11 @@ measured on the same data and set-up.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
-from service.errors import CazslError, UnknownModelError
+from service.errors import CazslError, ConflictError, UnknownModelError
 from service.model.domain import Domain, Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Calibration
@@ -21,14 +21,24 @@ from service.registry.registry import NOWHERE, Registry
 from service.storage.history import Event, History
 
 LEVELS: Final = (0.50, 0.90, 0.95)
+_FORCED: Final = "forced past"  # in the reason of a move that gates refused
 
 
 @dataclass(frozen=True)
 class Promotion:
-    """Outcome of a promotion: the verdict of every gate, and the event of the alias move unless a gate refused it."""
+    """Outcome of a promotion: the verdict of every gate, and the event of the alias move unless a gate refused it.
+
+    Attributes:
+        verdicts: verdict of every gate.
+        event: event of the move. None: the alias stays.
+        version: version that was to be promoted.
+        seen: version that the alias named when the gates ran, ``NOWHERE`` for none.
+    """
 
     verdicts: tuple[Verdict, ...]
     event: Event | None
+    version: int
+    seen: int
 
     @property
     def refused(self) -> tuple[Verdict, ...]:
@@ -69,32 +79,72 @@ def promote(
     registry.resolve(ModelReference(name, None, version))
     current = registry.aliases(name).get(alias)
     candidate = load_version(registry, load, name, version)
-    verdicts = tuple(judge(candidate, _champion(registry, load, name, current), registry.domain))
-    stayed = Promotion(verdicts, None)
-    if stayed.refused and not force:
-        return stayed
-    if stayed.refused:
-        gates = ", ".join(f"{verdict.gate} {verdict.figure:.3g} > {verdict.limit:.3g}" for verdict in stayed.refused)
-        reason = f"{reason or 'no reason given'} (forced past {gates})"
+    verdicts = judge(candidate, _champion(registry, load, name, current), registry.domain)
     seen = expect if expect is not None else (current or NOWHERE)
-    return Promotion(verdicts, registry.point_alias(name, alias, version, expect=seen, reason=reason))
+    return _move(registry, name, alias, Promotion(tuple(verdicts), None, version, seen), reason, force)
 
 
-def roll_back(registry: Registry, name: str, alias: str, reason: str | None = None) -> Event:
-    """Point an alias back at the version that it named before. The version is verified, and no gate runs.
+def roll_back(
+    registry: Registry,
+    load: PredictorFactory,
+    name: str,
+    alias: str,
+    *,
+    reason: str | None = None,
+    expect: int | None = None,
+    force: bool = False,
+) -> Promotion:
+    """Run the gates on the version that an alias named before, then point it back at that version.
+
+    Held-out figures are not compared: the version that is left may have the better ones, and fail in the field.
+
+    Args:
+        registry: registry of the model.
+        load: creates predictors.
+        name: name of the model.
+        alias: alias to move.
+        reason: reason that the history keeps.
+        expect: version that the alias must name. None: any version.
+        force: move the alias although gates refuse. The history then keeps their figures.
 
     Raises:
         UnknownModelError: the alias named no other version that is still there.
-        ConflictError: the alias was moved in the meantime. It stays.
-        RegistryError: the version does not pass verification, or the storage refused.
+        BrokenModelError: that version does not pass verification or its self-check.
+        ConflictError: the alias does not name the expected version. It stays.
+        RegistryError: the storage refused.
     """
     state = registry.state(name)
     current = state.aliases.get(alias)
     before = _before(registry.history(name), alias, current, state.versions)
     if current is None or before is None:
         raise UnknownModelError(f"{name}@{alias} named no other version before that is still there")
+    if expect not in (None, current):
+        raise ConflictError(f"{name}@{alias} names {current}, but {expect} was expected; the alias stays")
+    verdicts = judge(load_version(registry, load, name, before), None, registry.domain)
     why = f"rollback: {reason}" if reason else "rollback"
-    return registry.point_alias(name, alias, before, expect=current, reason=why)
+    return _move(registry, name, alias, Promotion(tuple(verdicts), None, before, current), why, force)
+
+
+def _move(registry: Registry, name: str, alias: str, found: Promotion, reason: str | None, force: bool) -> Promotion:
+    """Point an alias at a version unless gates refuse it, and return the outcome with the event."""
+    if found.refused and not force:
+        return found
+    if found.refused:
+        reason = f"{reason or 'no reason given'} ({_FORCED} {refusals(found.refused)})"
+    return replace(found, event=registry.point_alias(name, alias, found.version, expect=found.seen, reason=reason))
+
+
+def refusals(verdicts: Iterable[Verdict]) -> str:
+    """Return the gates that refuse, with their figures and limits, as a text."""
+    return ", ".join(
+        f"{verdict.gate} {verdict.figure:.3g} > {verdict.limit:.3g}" for verdict in verdicts if not verdict.passed
+    )
+
+
+def is_forced(history: History, alias: str, version: int) -> bool:
+    """Return whether the last move of an alias led to this version past gates that refused it."""
+    last = next((event for event in reversed(history.events) if event.alias == alias), None)
+    return last is not None and last.to == version and _FORCED in (last.reason or "")
 
 
 def judge(candidate: LoadedModel, champion: LoadedModel | None, domain: Domain) -> list[Verdict]:

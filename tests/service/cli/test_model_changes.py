@@ -2,8 +2,10 @@
 
 from pathlib import Path
 
+import pytest
+
 from service.registry.registry import Registry
-from tests.service.cli.command_line import NAME, document, force, run
+from tests.service.cli.command_line import NAME, at_a_terminal, document, force, run
 
 
 def test_promotion_is_refused_with_figures(root: Path) -> None:
@@ -40,8 +42,55 @@ def test_rollback_returns_to_the_previous_version(root: Path) -> None:
     """A rollback points the alias at its previous version and records the reason. Without a previous one it fails."""
     assert run(root, "rollback", NAME).exit_code == 5
     force(root, 2)
-    assert document(root, "rollback", NAME, "--reason", "worse")["event"]["to"] == 1
-    assert document(root, "history", NAME)["events"][-1]["reason"] == "rollback: worse"
+    assert document(root, "rollback", NAME, "--yes", "--reason", "worse")["event"]["to"] == 1
+    assert document(root, "history", NAME)["events"][-1]["reason"].startswith("rollback: worse (forced past no-contact")
+
+
+def test_rollback_to_a_version_that_gates_refuse_needs_consent(root: Path) -> None:
+    """A rollback runs the gates. Where they refuse, a script has exit status 3, and --yes goes back all the same."""
+    force(root, 2)
+    result = run(root, "rollback", NAME)
+    assert result.exit_code == 3
+    assert "REFUSE  no-contact" in result.output
+    assert f"{NAME}@champion stays. To move it anyway: --yes" in result.output
+    assert document(root, "rollback", NAME, status=3)["moved"] is False
+    assert Registry(root).aliases(NAME) == {"champion": 2}
+    assert run(root, "rollback", NAME, "--yes").exit_code == 0
+    assert Registry(root).aliases(NAME) == {"champion": 1}
+
+
+@pytest.mark.parametrize(
+    ("command", "question"),
+    [
+        (("remove", f"{NAME}@2"), f"Remove {NAME}@2 (version, for good)?"),
+        (("remove", f"{NAME}@canary"), f"Remove {NAME}@canary (alias)?"),
+        (("prune", NAME, "--keep", "1"), f"Remove 1 versions of {NAME} for good (2)?"),
+        (("rollback", NAME, "--alias", "canary"), "gates refuse version 1: no-contact 1.04 > 0.121"),
+    ],
+    ids=["a version", "an alias", "old versions", "a rollback"],
+)
+@pytest.mark.parametrize("answer", ["n\n", "y\n"], ids=["no", "yes"])
+def test_a_terminal_is_asked_before_something_is_lost(
+    root: Path, command: tuple[str, ...], question: str, answer: str
+) -> None:
+    """At a terminal, commands that lose something ask first. After "no" the registry is as it was."""
+    registry = Registry(root)
+    first = registry.read(NAME, 1)
+    registry.publish(first.manifest, first.model, first.card)
+    for version in (1, 3):
+        registry.point_alias(NAME, "canary", version)
+    before = registry.state(NAME)
+    status, printed = at_a_terminal(root, answer, *command)
+    assert question in printed
+    assert (registry.state(NAME) == before) == (answer == "n\n")
+    assert (status == 0) == (answer == "y\n"), printed
+
+
+def test_a_terminal_is_not_asked_with_yes_or_without_need(root: Path) -> None:
+    """--yes asks nothing, and neither does a rollback that passes the gates, or a dry run."""
+    assert at_a_terminal(root, "", "prune", NAME, "--keep", "1", "--dry-run")[0] == 0
+    assert at_a_terminal(root, "", "remove", f"{NAME}@2", "--yes")[0] == 0
+    assert Registry(root).versions(NAME) == [1]
 
 
 def test_remove_refuses_a_version_with_an_alias(root: Path) -> None:

@@ -98,12 +98,17 @@ def test_tampered_history_has_exit_status_1(root: Path) -> None:
 
 def test_doctor_lists_faults_with_remedies(root: Path) -> None:
     """The doctor lists each fault with a remedy. The exit status is 1 if predictions suffer."""
-    assert run(root, "doctor").output == "no faults found\n"
+    force(root, 1)
     (root / "notes.txt").write_text("x")
     (root / NAME / ".staging-1").mkdir()
     (root / NAME / "old").mkdir()
     found = document(root, "doctor")
-    assert {finding["where"] for finding in found} == {"notes.txt", f"{NAME}/.staging-1", f"{NAME}/old"}
+    assert {finding["where"] for finding in found} == {
+        f"{NAME}@champion",  # gates refuse it
+        "notes.txt",
+        f"{NAME}/.staging-1",
+        f"{NAME}/old",
+    }
     (root / NAME / "1" / "card.md").unlink()
     (root / NAME / "3").mkdir()
     (root / NAME / "aliases" / "canary").write_text("9\n")
@@ -121,5 +126,6 @@ def test_errors_are_json_with_a_stable_code(root: Path) -> None:
     assert document(root, "show", f"{NAME}@9", status=5)["code"] == "unknown_model"
     assert document(root, "list", "--registry", "ftp://x", status=1)["code"] == "registry"
     assert document(root, "doctor", "--registry", str(root / "gone"), status=1)["code"] == "registry"
-    assert document(root, "verify")[0] == {"reference": f"{NAME}@1", "ok": True, "detail": None}
+    verified = document(root, "verify", status=3)[0]
+    assert (verified["reference"], verified["ok"], verified["detail"]) == (f"{NAME}@1", True, None)
     assert document(root, "list") == [{"name": NAME, "versions": [1, 2], "aliases": {"champion": 1}}]

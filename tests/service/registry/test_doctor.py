@@ -5,20 +5,23 @@ from pathlib import Path
 
 import pytest
 
+from service.errors import BrokenModelError
+from service.model.tensors import ContextKind
 from service.registry.doctor import examine
+from service.registry.promotion import promote
 from service.registry.registry import Registry
 from service.storage.base import RegistryFinding
 from tests.fakes import load_fake, publish_fake
 
-NAME = "push-indicator"
+NAME = "push-none"
 
 
 @pytest.fixture
 def registry(tmp_path: Path) -> Registry:
     """A registry with two versions, of which the first is the champion."""
     found = Registry(tmp_path / "models")
-    publish_fake(found)
-    publish_fake(found, alias=None)
+    publish_fake(found, NAME, ContextKind.NONE)
+    publish_fake(found, NAME, ContextKind.NONE, alias=None)
     return found
 
 
@@ -78,7 +81,39 @@ def test_broken_chain_is_severe(registry: Registry) -> None:
 def test_model_without_versions_is_reported(registry: Registry) -> None:
     """A model folder without versions is reported, but is not severe."""
     shutil.rmtree(registry.root / NAME)
-    (registry.root / "push-none").mkdir()
+    (registry.root / "push-visual").mkdir()
     found = findings(registry)
-    assert set(found) == {"push-none"}
-    assert not found["push-none"].severe
+    assert set(found) == {"push-visual"}
+    assert not found["push-visual"].severe
+
+
+@pytest.mark.parametrize("forced", [False, True])
+def test_an_alias_of_a_version_that_gates_refuse_is_reported(registry: Registry, forced: bool) -> None:
+    """A refused version is severe behind an alias, unless its promotion was forced. Without an alias it is no fault."""
+    name = "push-indicator"  # the fake turns an object that no pusher touches
+    publish_fake(registry, name, alias=None)
+    assert findings(registry) == {}
+    if forced:
+        promote(registry, load_fake, name, 1, "champion", reason="a trial", force=True)
+    else:
+        registry.point_alias(name, "champion", 1)
+    found = findings(registry)
+    assert set(found) == {f"{name}@champion"}
+    assert found[f"{name}@champion"].severe != forced
+    assert "names version 1, which gates refuse: no-contact 0.991 > 0.5" in found[f"{name}@champion"].wrong
+    assert f"cazsl models rollback {name} --alias champion" in found[f"{name}@champion"].advice
+
+
+def test_a_version_without_the_signature_that_the_service_needs_is_severe(registry: Registry) -> None:
+    """The signatures of a registry are those that its service needs, and the remedy is to sign."""
+
+    class Refusing:
+        """A check of signatures that no version passes."""
+
+        def check(self, files: dict[str, bytes], signature: bytes | None) -> None:
+            """See ``Signatures.check``."""
+            raise BrokenModelError("signature: there is none, but one is required")
+
+    found = findings(Registry(registry.root, Refusing()))
+    assert {place for place, finding in found.items() if finding.severe} == {f"{NAME}/1", f"{NAME}/2"}
+    assert f"sign it (cazsl models sign {NAME}@1 --key KEY)" in found[f"{NAME}/1"].advice

@@ -9,7 +9,7 @@ from service.errors import ConflictError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind
 from service.pushing.domain import PUSHING
-from service.registry.promotion import judge, promote, roll_back
+from service.registry.promotion import is_forced, judge, promote, roll_back
 from service.registry.registry import NOWHERE, Registry
 from tests.fakes import draft_manifest, load_fake, publish_fake
 from tests.service.pushing.test_gates import model, refused
@@ -92,8 +92,39 @@ def test_a_promotion_expects_the_version_of_its_comparison(registry: Registry) -
 def test_a_rollback_returns_to_the_version_before(registry: Registry) -> None:
     """An alias goes back to the last other version that it named and that still exists."""
     promote(registry, load_fake, NAME, 2, "champion", force=True)
-    event = roll_back(registry, NAME, "champion", "worse in the field")
+    with pytest.raises(ConflictError, match="names 2, but 1 was expected"):
+        roll_back(registry, load_fake, NAME, "champion", expect=1)
+    event = roll_back(registry, load_fake, NAME, "champion", reason="worse in the field").event
+    assert event is not None
     assert (event.before, event.to, event.reason) == (2, 1, "rollback: worse in the field")
     registry.remove(NAME, 2)
     with pytest.raises(UnknownModelError, match="named no other version"):
-        roll_back(registry, NAME, "champion")
+        roll_back(registry, load_fake, NAME, "champion")
+
+
+def test_a_rollback_does_not_compare_figures(registry: Registry) -> None:
+    """The version that is left may have the better figures. It may fail in the field all the same."""
+    registry.point_alias(NAME, "canary", 2)
+    registry.point_alias(NAME, "canary", 1)
+    assert promote(registry, load_fake, NAME, 2, "canary").event is None
+    outcome = roll_back(registry, load_fake, NAME, "canary")
+    assert outcome.event is not None
+    assert registry.aliases(NAME)["canary"] == 2
+
+
+def test_a_rollback_to_a_version_that_gates_refuse_needs_force(tmp_path: Path) -> None:
+    """A rollback runs the gates. A refused one leaves the alias, and a forced one keeps the figures."""
+    found, name = Registry(tmp_path), "push-indicator"  # the fake turns an object that no pusher touches
+    publish_fake(found, name)
+    publish_fake(found, name)
+    outcome = roll_back(found, load_fake, name, "champion")
+    assert (outcome.event, outcome.version, outcome.seen) == (None, 1, 2)
+    assert [verdict.gate for verdict in outcome.refused] == ["no-contact"]
+    assert found.aliases(name) == {"champion": 2}
+    assert not is_forced(found.history(name), "champion", 2)
+    event = roll_back(found, load_fake, name, "champion", expect=outcome.seen, force=True).event
+    assert event is not None
+    assert event.reason == "rollback (forced past no-contact 0.991 > 0.5)"
+    assert is_forced(found.history(name), "champion", 1)
+    found.point_alias(name, "champion", 2)
+    assert not is_forced(found.history(name), "champion", 2)
