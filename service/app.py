@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import AsyncIterator, Callable
 from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
 from typing import Any, Final
 
 from fastapi import Depends, FastAPI
@@ -18,6 +19,7 @@ from service.api.open_inference import routes as open_inference
 from service.api.open_inference.bodies import ErrorBody
 from service.api.open_inference.endpoints import inference_endpoints
 from service.api.openapi import give_examples, problems, protocol_errors, state_media_type
+from service.api.scrapes import Scrapes
 from service.api.v1 import routes as v1
 from service.api.v1.endpoints import ENDPOINTS, SINGLE
 from service.background.supervision import Supervisor
@@ -43,6 +45,7 @@ from service.transport.problems import internal_error, problem_response
 from service.transport.threads import ThreadPool, threads_beside_the_loop
 
 _FIRST_POLL_S: Final = 2.0
+_METRICS_CONNECTIONS: Final = 32
 
 DESCRIPTION = """\
 Predicts the pose of an object after a robot pushes it, and the uncertainty of that pose. Send the pose of the pusher
@@ -64,6 +67,8 @@ class Service(FastAPI):
         requests: metrics of requests, and of refusals that happen before there is a request.
         shortcut: answers single pushes for connections. None if every request must pass all rings.
         connections: class of connections, which the server instantiates.
+        metrics: the application of a separate port for metrics.
+        metrics_connections: class of connections of that port, with a limit of their own.
     """
 
     parts: Parts
@@ -71,6 +76,8 @@ class Service(FastAPI):
     requests: RequestMetrics
     shortcut: Shortcut | None = None
     connections: type[BoundedConnection]
+    metrics: ASGIApp
+    metrics_connections: type[BoundedConnection]
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, from the outermost ring inwards."""
@@ -124,7 +131,7 @@ def create_app(
     admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
     metrics = exposition(app.requests, gauges(models, readiness, threads, admission, supervisor, log.writer.dropped))
-    app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics)
+    app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics, Scrapes(metrics))
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
     install_error_handlers(app)
     telemetry = RequestTelemetry(admission, _internal_error, log, app.requests)
@@ -137,7 +144,12 @@ def create_app(
     app.rings = trace(telemetry)
     if app.rings is telemetry:  # a ring around all others must see every request
         app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
-    app.connections = connection_class(House(_connection_limits(settings), admission.held, refuse), app.shortcut)
+    limits = _connection_limits(settings)
+    app.connections = connection_class(House(limits, admission.held, refuse), app.shortcut)
+    scraped = Admission(app.parts.scrapes, _limits(settings), Callers(Keys(None)))
+    app.metrics = RequestTelemetry(scraped, _internal_error, log, app.requests)
+    few = replace(limits, connections=_METRICS_CONNECTIONS)
+    app.metrics_connections = connection_class(House(few, scraped.held, refuse))
     return app
 
 

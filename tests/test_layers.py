@@ -117,7 +117,7 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.api.v1.routes": "fastapi",
         "service.api.v1.uploads": "python_multipart",
         "service.api.open_inference.routes": "fastapi",
-        "service.cli.serve": "prometheus_client starlette uvicorn",
+        "service.cli.serve": "starlette uvicorn",
         "training.publishing.onnx_export": "onnx",
         "training.simulation.camera": "PIL",
     }.items()

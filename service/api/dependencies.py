@@ -7,6 +7,7 @@ from fastapi import Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from prometheus_client import CollectorRegistry
 
+from service.api.scrapes import Scrapes
 from service.background.supervision import Supervisor
 from service.errors import MissingKeyError
 from service.inference.loaded_models import LoadedModels
@@ -29,6 +30,7 @@ class Parts:
     keys: Keys
     endpoints: Endpoints
     metrics: CollectorRegistry
+    scrapes: Scrapes
 
 
 def parts_of(request: Request) -> Parts:

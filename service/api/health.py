@@ -6,7 +6,7 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from service.api.dependencies import may_read_metrics, parts_of, readiness_of, snapshot_of
 from service.background.supervision import TaskHealth
-from service.observability.prometheus import CONTENT_TYPE, render
+from service.observability.prometheus import CONTENT_TYPE
 from service.schemas.health import LiveBody, ModelCheckBody, ReadyBody, TaskBody
 
 _NO_MODEL: Final = ReadyBody(
@@ -59,7 +59,7 @@ async def ready(request: Request, response: Response) -> ReadyBody:
 @metrics_router.get("/metrics")
 async def metrics(request: Request) -> Response:
     """Return the text of a scrape. It is not part of the API: docs/operations.md lists the metrics."""
-    return Response(render(parts_of(request).metrics), media_type=CONTENT_TYPE)
+    return Response(await parts_of(request).scrapes.text(), media_type=CONTENT_TYPE)
 
 
 def _task(health: TaskHealth) -> TaskBody:

@@ -1,28 +1,35 @@
 """``cazsl serve``: start the HTTP service."""
 
+import asyncio
+import contextlib
 import gc
+import logging
 import signal
+import socket
 import sys
 from collections.abc import Callable
 from typing import Any, Final
 
 import click
 import uvicorn
-from prometheus_client import start_http_server
 from starlette.types import ASGIApp
 
 from service.app import create_app
+from service.background.ending import Ending
 from service.cli.config import configured, settings_options
-from service.cli.terminal import FAILED, echo
+from service.cli.terminal import FAILED, printable
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.model.trial import expect_trials
 from service.observability.log_writer import LogWriter
 from service.observability.logs import RequestLog, configure_logging, log_uncaught
 from service.registry.location import open_registry, trusted_keys
+from service.settings import Settings
 from service.transport.draining import DrainingServer
 
 SWITCH_INTERVAL_S: Final = 0.0001
+
+logger = logging.getLogger(__name__)
 
 
 @click.command()
@@ -41,46 +48,77 @@ def serve(**options: Any) -> None:
     keys = trusted_keys(settings.require_signature)
     registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
-    app = create_app(settings, models, RequestLog(log), _tracing(settings.otlp_endpoint))
-    if sys.stdout.isatty():  # log collectors get JSON lines only
-        echo(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
+    trace, send_spans = _tracing(settings.otlp_endpoint)
+    app = create_app(settings, models, RequestLog(log), trace)
+    _greet(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.
     signal.signal(signal.SIGTERM, lambda *_: None)
-    serving = uvicorn.Config(
+    serving = _configured(app, app.connections, settings)
+    others = []
+    if settings.metrics_port is not None:
+        metrics = _configured(app.metrics, app.metrics_connections, settings)
+        others.append((_listening(settings.host, settings.metrics_port), metrics))
+    # Loading a version holds the interpreter lock in another thread. Requests wait for a switch, by default for 5 ms.
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    gc.collect()
+    gc.freeze()  # these objects stay: to traverse them at each collection costs 5 us per push, and pauses
+    ending = Ending([send_spans, log.close])
+    ending.start()
+    server = DrainingServer(serving, settings.drain_s, app.parts.readiness.drain, ending.begin, others)
+    try:
+        server.run()
+    except (KeyboardInterrupt, SystemExit):  # uvicorn raises Ctrl-C again, and exits if it cannot start
+        logger.info("the server has ended")
+    except BaseException:  # the log is the only place that the operator reads
+        logger.critical("the server failed", exc_info=True)
+        ending.leave(FAILED)
+    ending.leave(0 if server.started else FAILED)
+
+
+def _configured(app: ASGIApp, connections: type[asyncio.Protocol], settings: Settings) -> uvicorn.Config:
+    return uvicorn.Config(
         app,
         host=settings.host,
         port=settings.port,
         log_config=None,
         access_log=False,
         server_header=False,
-        http=app.connections,
+        http=connections,
         proxy_headers=False,  # the client address is that of the connection
         timeout_graceful_shutdown=settings.grace_s,
     )
-    if settings.metrics_port is not None:
-        try:
-            start_http_server(settings.metrics_port, settings.host, app.parts.metrics)
-        except OSError as error:
-            raise click.ClickException(
-                f"CAZSL_METRICS_PORT: cannot listen on port {settings.metrics_port}: {error.strerror}"
-            ) from error
-    # Loading a version holds the interpreter lock in another thread. Requests wait for a switch, by default for 5 ms.
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
-    gc.collect()
-    gc.freeze()  # these objects stay: to traverse them at each collection costs 5 us per push, and pauses
-    server = DrainingServer(serving, settings.drain_s, app.parts.readiness.drain)
-    server.run()
-    if not server.started:
-        sys.exit(FAILED)
 
 
-def _tracing(endpoint: str) -> Callable[[ASGIApp], ASGIApp]:
-    """Return the middleware that records spans, or the identity if no endpoint is set."""
+def _listening(host: str, port: int) -> socket.socket:
+    """Return a socket for metrics that is bound already, so that a port in use ends the start.
+
+    Raises:
+        click.ClickException: the port is not free.
+    """
+    try:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        return socket.create_server(address, family=family)
+    except OSError as error:
+        raise click.ClickException(f"CAZSL_METRICS_PORT: cannot listen on port {port}: {error.strerror}") from error
+
+
+def _greet(text: str) -> None:
+    """Print a line to the terminal of the operator, if there is one. It is not awaited, because a terminal may hang."""
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # standard output may be closed
+        if sys.stdout.isatty():  # log collectors get JSON lines only
+            LogWriter(sys.stdout).put(f"{printable(text)}\n".encode())
+
+
+def _tracing(endpoint: str) -> tuple[Callable[[ASGIApp], ASGIApp], Callable[[], object]]:
+    """Return the middleware that records spans, and a function that sends the remaining ones.
+
+    If no endpoint is set, they do nothing.
+    """
     if not endpoint:
-        return lambda app: app
+        return lambda app: app, lambda: None
     try:  # optional dependencies
         from service.observability.tracing import Tracing, exporting
     except ImportError as error:
         raise click.ClickException("CAZSL_OTLP_ENDPOINT needs the extra 'otel': pip install 'cazsl[otel]'") from error
-    provider = exporting(endpoint)  # sends the remaining spans when the process ends
-    return lambda app: Tracing(app, provider)
+    provider = exporting(endpoint)
+    return lambda app: Tracing(app, provider), provider.shutdown

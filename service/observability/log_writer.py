@@ -20,7 +20,7 @@ import orjson
 from service.background.supervision import ENDINGS, TaskHealth
 
 QUEUE_BYTES: Final = 4 << 20  # about 15,000 lines of requests
-FLUSH_S: Final = 0.5
+FLUSH_S: Final = 0.3
 _LATE_S: Final = 30.0
 FULL: Final = "queue_full"
 FAILED: Final = "write_failed"

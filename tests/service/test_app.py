@@ -145,7 +145,6 @@ def test_every_background_task_is_supervised(faulty: tuple[Service, TestClient],
         "background/supervision.py": {"create_task"},
         "background/threads.py": {"Thread"},
         "bulk/executors.py": {"ThreadPoolExecutor", "Thread"},  # of the command line
-        "cli/serve.py": {"start_http_server"},
         "model/trial.py": {"Thread", "Timer"},  # end a process and collect its exit status
         "observability/log_writer.py": {"Thread"},  # the task log
         "transport/threads.py": {"ThreadPoolExecutor"},  # the work of requests

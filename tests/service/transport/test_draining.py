@@ -1,6 +1,7 @@
 """The server keeps serving for some time after SIGTERM, and asks its clients to leave."""
 
 import signal
+from collections.abc import Callable
 
 import anyio
 import pytest
@@ -19,9 +20,10 @@ class Drained:
         self.times += 1
 
 
-def server(drain_s: float, drained: Drained) -> DrainingServer:
+def server(drain_s: float, drained: Drained, ending: Callable[[float], None] = lambda _: None) -> DrainingServer:
     """Return a server that does not run."""
-    return DrainingServer(uvicorn.Config("absent:app", log_config=None), drain_s, drained)
+    config = uvicorn.Config("absent:app", log_config=None, timeout_graceful_shutdown=20)
+    return DrainingServer(config, drain_s, drained, ending)
 
 
 def ticked(found: DrainingServer) -> bool:
@@ -60,3 +62,13 @@ def test_a_second_signal_skips_the_drain_time(signals: list[signal.Signals]) -> 
     for number in signals:
         found.handle_exit(number, None)
     assert ticked(found)
+
+
+def test_each_signal_begins_the_end_with_the_time_that_is_left() -> None:
+    """After SIGTERM the server has the drain time and the time for running requests, after a second signal less."""
+    limits: list[float] = []
+    found = server(10.0, Drained(), limits.append)
+    found.handle_exit(signal.SIGTERM, None)
+    found.handle_exit(signal.SIGTERM, None)
+    found.handle_exit(signal.SIGINT, None)
+    assert limits == [30.0, 20.0, 20.0]
