@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from PIL import Image, ImageFile, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
+from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
 
-from service.errors import ImageTooLargeError, InvalidImageError, RequestError, UnsupportedImageError
+from service.errors import ImageTooLargeError, InvalidImageError, UnsupportedImageError
 
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
 JPEG_START: Final = b"\xff\xd8\xff"
@@ -56,46 +56,58 @@ class ImageLimits:
 
 
 @dataclass(frozen=True)
-class _Header:
-    """Size of a picture as its file declares it, and the memory that its decoder takes."""
+class ImageFile:
+    """Image file within its bounds, before it is opened.
 
+    Attributes:
+        kind: name of the format.
+        width, height: size that the file declares, in pixels.
+        pixel_bytes: memory of the decoder, per pixel.
+    """
+
+    kind: str
     width: int
     height: int
-    pixel_bytes: float = 0.0
+    pixel_bytes: float
+
+    @property
+    def needed_bytes(self) -> int:
+        """Return the memory to decode the picture and to turn it to grey of 16 bits."""
+        return round(self.width * self.height * (self.pixel_bytes + 2))
 
 
-def count_pixels(content: bytes) -> int:
-    """Return the number of pixels that the header of a file declares, for an estimate of its cost. Without one, 0."""
-    try:
-        header = _kind(content, "image").size(content)
-    except (RequestError, struct.error):
-        return 0
-    return header.width * header.height
-
-
-def open_image_file(content: bytes, limits: ImageLimits, where: str) -> Image.Image:
-    """Open a file of any of the three formats without decoding it. ``load`` decodes it.
+def bound_image_file(content: bytes, limits: ImageLimits, where: str) -> ImageFile:
+    """Return the size and cost of a file of any of the three formats. Nothing is decoded.
 
     Raises:
         ImageTooLargeError: bytes, pixels, a side or the decoder's memory are over the limits.
         UnsupportedImageError: the file has another format.
-        InvalidImageError: the file is broken or animated, or has more parts than a picture needs.
+        InvalidImageError: the file is broken, or has more parts than a picture needs.
     """
     if len(content) > limits.max_bytes:
         raise ImageTooLargeError(where, f"{len(content)} bytes", f"up to {limits.max_bytes} bytes")
     kind = _kind(content, where)
     try:
-        header = kind.walk(content, where)
+        file = _WALKS[kind](content, where)
     except struct.error as error:  # the file ends before its size
-        raise _broken(kind.name, where) from error
-    _check_size(header, kind.name, limits, where)
+        raise _broken(kind, where) from error
+    _check_size(file, limits, where)
+    return file
+
+
+def open_image_file(content: bytes, file: ImageFile, where: str) -> Image.Image:
+    """Open a file within its bounds. ``load`` decodes it.
+
+    Raises:
+        InvalidImageError: the file is broken or animated.
+    """
     try:
-        image = kind.opened(io.BytesIO(content))
-    except (MemoryError, RequestError):
+        image = _PLUGINS[file.kind](io.BytesIO(content))
+    except MemoryError:
         raise
     except Exception as error:  # Pillow's plug-ins raise errors of any class, so no list of them is complete
-        raise _broken(kind.name, where) from error
-    if image.size != (header.width, header.height):
+        raise _broken(file.kind, where) from error
+    if image.size != (file.width, file.height):
         raise InvalidImageError.at(where, "a picture of another size than its header says", "a whole picture")
     if getattr(image, "is_animated", False):
         raise InvalidImageError.at(where, "an animation", "a still picture")
@@ -114,40 +126,30 @@ def check_metadata(image: Image.Image, where: str) -> None:
         raise InvalidImageError.at(where, f"EXIF or XMP of {longest} bytes", accepted)
 
 
-@dataclass(frozen=True)
-class _Kind:
-    """Format of image files: the reader of its size, the walk that bounds it, and Pillow's plug-in."""
-
-    name: str
-    size: Callable[[bytes], _Header]
-    walk: Callable[[bytes, str], _Header]
-    opened: Callable[[io.BytesIO], ImageFile.ImageFile]
-
-
-def _kind(content: bytes, where: str) -> _Kind:
+def _kind(content: bytes, where: str) -> str:
     if content.startswith(PNG_START):
-        return _Kind("PNG", _png_size, _walk_png, PngImagePlugin.PngImageFile)
+        return "PNG"
     if content.startswith(JPEG_START):
-        return _Kind("JPEG", _jpeg_size, _walk_jpeg, JpegImagePlugin.JpegImageFile)
+        return "JPEG"
     if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
-        return _Kind("WebP", _webp_size, _walk_webp, WebPImagePlugin.WebPImageFile)
+        return "WebP"
     received = f"{len(content)} bytes of another format" if content else "an empty file"
     raise UnsupportedImageError(f"{where}: received {received}; accepted is {FORMATS}")
 
 
-def _check_size(header: _Header, name: str, limits: ImageLimits, where: str) -> None:
-    width, height = header.width, header.height
+def _check_size(file: ImageFile, limits: ImageLimits, where: str) -> None:
+    width, height = file.width, file.height
     if width < 1 or height < 1:
         raise InvalidImageError.at(where, f"a picture of {width} x {height} pixels", "at least 1 x 1 pixel")
     if max(width, height) > limits.max_side or width * height > limits.max_pixels:
         accepted = f"up to {limits.max_pixels} pixels and {limits.max_side} on a side"
         raise ImageTooLargeError(where, f"{width} x {height} pixels", accepted)
-    if width * height * header.pixel_bytes > limits.max_decoder_bytes:
-        accepted = f"up to {limits.max_decoder_bytes / header.pixel_bytes:.0f} pixels in a {name} of this kind"
+    if width * height * file.pixel_bytes > limits.max_decoder_bytes:
+        accepted = f"up to {limits.max_decoder_bytes / file.pixel_bytes:.0f} pixels in a {file.kind} of this kind"
         raise ImageTooLargeError(where, f"{width} x {height} pixels", accepted)
 
 
-def _walk_png(content: bytes, where: str) -> _Header:
+def _walk_png(content: bytes, where: str) -> ImageFile:
     """Count the chunks of length, name, data and checksum (PNG 3rd edition, section 5)."""
     if content[12:16] != b"IHDR":
         raise InvalidImageError.at(where, "a PNG whose header is not its first chunk", "a whole PNG")
@@ -173,12 +175,12 @@ def _is_compressed(name: bytes, data: bytes) -> bool:
     return name in (b"zTXt", b"iCCP") or (name == b"iTXt" and data.partition(b"\0")[2][:1] != b"\0")
 
 
-def _png_size(content: bytes) -> _Header:
+def _png_size(content: bytes) -> ImageFile:
     width, height = struct.unpack_from(">II", content, 16)
-    return _Header(width, height, _PNG_PIXEL_BYTES)
+    return ImageFile("PNG", width, height, _PNG_PIXEL_BYTES)
 
 
-def _walk_jpeg(content: bytes, where: str) -> _Header:
+def _walk_jpeg(content: bytes, where: str) -> ImageFile:
     """Count scans and parts, and estimate the memory of libjpeg: with several scans it keeps all coefficients."""
     frame, progressive, scans, exif_parts = b"", False, 0, 0
     for marker, segment in _jpeg_segments(content, where):
@@ -195,7 +197,7 @@ def _walk_jpeg(content: bytes, where: str) -> _Header:
     height, width = struct.unpack_from(">HH", frame, 1)
     factors = [(part >> 4) * (part & 15) for part in frame[7::3]]  # of sampling, for each channel
     kept = 2 * sum(factors) / max([1, *factors]) if progressive or scans > 1 else 0.0
-    return _Header(width, height, (4 if len(factors) > 1 else 1) + kept)
+    return ImageFile("JPEG", width, height, (4 if len(factors) > 1 else 1) + kept)
 
 
 def _jpeg_segments(content: bytes, where: str) -> Iterator[tuple[int, bytes]]:
@@ -233,14 +235,7 @@ def _next_marker(content: bytes, at: int) -> int:
     return len(content)
 
 
-def _jpeg_size(content: bytes) -> _Header:
-    """Return the size in the first frame. Several frames in one file are refused by libjpeg."""
-    frame = next((segment for marker, segment in _jpeg_segments(content, "image") if marker in _JPEG_FRAMES), b"")
-    height, width = struct.unpack_from(">HH", frame, 1)
-    return _Header(width, height)
-
-
-def _walk_webp(content: bytes, where: str) -> _Header:
+def _walk_webp(content: bytes, where: str) -> ImageFile:
     """Count the RIFF chunks of name, length and data, padded to even length (RFC 9649, section 2)."""
     at = 12
     for _ in range(MAX_PARTS):
@@ -251,7 +246,7 @@ def _walk_webp(content: bytes, where: str) -> _Header:
     raise _endless(where)
 
 
-def _webp_size(content: bytes) -> _Header:
+def _webp_size(content: bytes) -> ImageFile:
     """Return the size in the first chunk: the canvas, or the frame of a simple file (RFC 9649 and 6386)."""
     if content[12:16] == b"VP8X":
         width, height = (1 + int.from_bytes(side, "little") for side in struct.unpack_from("3s3s", content, 24))
@@ -260,7 +255,15 @@ def _webp_size(content: bytes) -> _Header:
         width, height = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
     else:
         width, height = (side & 0x3FFF for side in struct.unpack_from("<HH", content, 26))
-    return _Header(width, height, _WEBP_PIXEL_BYTES)
+    return ImageFile("WebP", width, height, _WEBP_PIXEL_BYTES)
+
+
+_WALKS: Final[dict[str, Callable[[bytes, str], ImageFile]]] = {"PNG": _walk_png, "JPEG": _walk_jpeg, "WebP": _walk_webp}
+_PLUGINS: Final[dict[str, Callable[[io.BytesIO], Image.Image]]] = {
+    "PNG": PngImagePlugin.PngImageFile,
+    "JPEG": JpegImagePlugin.JpegImageFile,
+    "WebP": WebPImagePlugin.WebPImageFile,
+}
 
 
 def _broken(name: str, where: str) -> InvalidImageError:

@@ -24,7 +24,7 @@ from PIL import ExifTags, Image
 
 from service.errors import InvalidImageError, RequestError
 from service.pushing.contexts import VISUAL_SIZE, VisualContext
-from service.pushing.image_files import ImageLimits, check_metadata, count_pixels, open_image_file
+from service.pushing.image_files import ImageLimits, bound_image_file, check_metadata, open_image_file
 from service.turns import pause
 
 FIELD_OF_VIEW_M: Final = 0.160  # across the square. Every Omnipush object fits with 10 mm to spare.
@@ -40,7 +40,6 @@ IMAGE_CONVENTION: Final = (
     "scikit-image's resize does by default (Gaussian of standard deviation (n/32 - 1)/2 pixels, then linear "
     "interpolation, mirrored at the border) and rounded to 8 bits, halves up."
 )
-BYTES_PER_PIXEL: Final = 16  # of memory to decode a picture, at most
 _WEIGHT_BITS: Final = 18  # with 16 bits of level and twice 18 of weight, every sum is an integer below 2**53: exact
 _BAND_PIXELS: Final = 1 << 18  # turned to grey at a time
 _GAUSSIAN_REACH: Final = 4.0  # standard deviations, as in scipy's filter
@@ -90,8 +89,9 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
         InvalidImageError: the picture is broken, truncated or animated, or costs more than a picture needs.
         DeadlineError: see ``service.turns.pause``.
     """
-    pause(BYTES_PER_PIXEL * min(count_pixels(content), limits.max_pixels))
-    with open_image_file(content, limits, where) as image:
+    file = bound_image_file(content, limits, where)
+    pause(file.needed_bytes)
+    with open_image_file(content, file, where) as image:
         try:
             image.load()
             check_metadata(image, where)
