@@ -1,5 +1,6 @@
 """Service process as operators run it: with sockets, signals and the shipped models."""
 
+import base64
 import http.client
 import json
 import os
@@ -18,6 +19,7 @@ from typing import Any
 import pytest
 
 from service.registry.registry import Registry
+from tests.attacks.hostile_images import exif_bomb, jpeg_with
 from tests.running_service import PATIENCE_S, free_port, is_ready, wait_until
 
 BODY = json.dumps({"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}).encode()
@@ -288,3 +290,19 @@ def test_metrics_can_have_a_port_of_their_own(project_root: Path, tmp_path: Path
     finally:
         process.kill()
         process.wait()
+
+
+def test_a_picture_does_not_write_to_the_log(running: Running, tmp_path: Path) -> None:
+    """A picture of thousands of broken tags is one line in the log: Pillow would warn about each tag."""
+    picture = base64.b64encode(jpeg_with(0xE1, b"Exif\0\0" + exif_bomb())).decode()
+    body = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"image": picture}}
+
+    def lines() -> int:
+        """Count the lines of the log."""
+        return len((tmp_path / "log").read_text().splitlines())
+
+    before = lines()
+    status, answer = running.ask("POST", "/v1/predict", json.dumps(body).encode())
+    assert status == 200, answer
+    wait_until(lambda: lines() > before)
+    assert lines() < before + 10

@@ -7,6 +7,7 @@ import logging
 import signal
 import socket
 import sys
+import warnings
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -44,6 +45,8 @@ def serve(**options: Any) -> None:
     log = LogWriter()
     configure_logging(settings.log_level, log)
     log_uncaught()
+    # Pillow warns about each odd tag of a picture. A client would write thousands of lines to standard error.
+    warnings.filterwarnings("ignore", module=r"PIL\.")
     expect_trials()
     keys = trusted_keys(settings.require_signature)
     registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)

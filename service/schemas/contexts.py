@@ -29,6 +29,7 @@ _THUMBNAIL_EXAMPLE: Final = (
     "qBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA4A"
     "AAAAAAAAAAAAAAAAAAAAuHUAko8CAFqKhPgAAAAASUVORK5CYII="
 )
+_PIECE_LENGTH: Final = 1 << 18  # characters of base64: a multiple of four
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
 # Schemas of the OpenAPI document only. ``to_domain`` has the better error messages.
 _DESCRIPTOR_SCHEMA: Final[dict[str, Any]] = {"pattern": f"^([134][abc]|2[abcBC]){{{SIDES}}}$"}
@@ -168,16 +169,22 @@ def describe_context(context: VisualContext) -> VisualContextBody:
 
 
 def _decode_base64(text: str, where: str) -> bytes:
-    """Decode base64.
+    """Decode base64, in pieces, because the decoder holds the interpreter lock: 75 ms for a picture of 8 MiB.
 
     Raises:
         InvalidRequestError: the text is not base64 with its padding.
     """
     try:
-        return base64.b64decode(text, validate=True)
+        pieces = [
+            base64.b64decode(text[start : start + _PIECE_LENGTH], validate=True)
+            for start in range(0, len(text), _PIECE_LENGTH)
+        ]
+        if any(len(piece) < _PIECE_LENGTH // 4 * 3 for piece in pieces[:-1]):
+            raise ValueError("padding inside of the text")
     except (binascii.Error, ValueError) as error:
         received = f"a text of {len(text)} characters that is not base64"
         raise InvalidRequestError.at(where, received, "base64 with its padding (RFC 4648)") from error
+    return b"".join(pieces)
 
 
 def _levels(rows: list[list[float]], where: str) -> bytes:
