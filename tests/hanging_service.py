@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final
 
-from pytest import MonkeyPatch
+import pytest
 
 from service.cli.main import main
 from service.inference import probing
@@ -20,7 +20,7 @@ from service.model.predictor import OnnxPredictor
 from service.observability.metrics import RequestMetrics
 
 FOREVER_S: Final = 3600.0
-PATCH: Final = MonkeyPatch()
+PATCH: Final = pytest.MonkeyPatch()
 
 
 def hang(*_: Any, **__: Any) -> Any:
