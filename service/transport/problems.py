@@ -29,6 +29,8 @@ _HEADERS: Final[Mapping[HTTPStatus, Mapping[str, str]]] = {
 
 def problem_response(scope: Scope, error: CazslError) -> Response:
     """Return the answer for an error of our tree. Its causes are not sent to the client."""
+    if error.status != HTTPStatus.INTERNAL_SERVER_ERROR:  # the cause of such an error is logged
+        _forget_frames(error)
     faults = error.faults[:MAX_FAULTS] if isinstance(error, InvalidRequestError) else ()
     return render_problem(scope, error.status, error.code, error.title, str(error), faults, _HEADERS.get(error.status))
 
@@ -74,6 +76,13 @@ def problem_body(
         request_id=request_id,
     )
     return body.model_dump_json().encode()
+
+
+def _forget_frames(error: BaseException | None) -> None:
+    """Forget where a refusal was raised. Its frames hold the request, and they and a future hold each other."""
+    while error is not None:
+        error.__traceback__ = None
+        error = error.__cause__ or error.__context__
 
 
 def _fault_body(fault: FieldFault) -> FaultBody:

@@ -131,6 +131,7 @@ class ThreadPool:
             raise DeadlineError(self.deadline_s) from error
         finally:
             self._end(job)
+            job.work = _done  # a job that held its own work would keep the request until the next garbage collection
 
     def pause(self, job: _ThreadJob, needed_bytes: int) -> None:
         """Let a job wait for its next turn, in its thread.
@@ -200,6 +201,11 @@ class ThreadPool:
         for end in list(job.ends):
             end()
         job.resumed.set()
+
+
+def _done() -> Callable[[], None]:
+    """Stand for the work of a job whose answer was given."""
+    return lambda: None
 
 
 def _settle(result: "asyncio.Future[Any]", settle: Callable[[Any], None], outcome: Any) -> None:
