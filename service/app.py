@@ -40,7 +40,7 @@ from service.transport.admission import Admission, AdmissionLimits
 from service.transport.callers import Callers
 from service.transport.endpoints import Endpoints
 from service.transport.fast_path import FastPath, Shortcut
-from service.transport.keys import Keys
+from service.transport.keys import READ_INTERVAL_S, Keys
 from service.transport.problems import internal_error, problem_response
 from service.transport.threads import ThreadPool, threads_beside_the_loop
 
@@ -117,7 +117,7 @@ def create_app(
     threads = ThreadPool(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
-    supervisor = _supervisor(settings, models, readiness, log)
+    supervisor = _supervisor(settings, models, readiness, keys, log)
     endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads)
     app = Service(
         title="CAZSL",
@@ -130,7 +130,9 @@ def create_app(
     )
     admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
-    metrics = exposition(app.requests, gauges(models, readiness, threads, admission, supervisor, log.writer.dropped))
+    metrics = exposition(
+        app.requests, gauges(models, readiness, threads, admission, keys, supervisor, log.writer.dropped)
+    )
     app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics, Scrapes(metrics))
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
     install_error_handlers(app)
@@ -153,12 +155,16 @@ def create_app(
     return app
 
 
-def _supervisor(settings: Settings, models: LoadedModels, readiness: Readiness, log: RequestLog) -> Supervisor:
+def _supervisor(
+    settings: Settings, models: LoadedModels, readiness: Readiness, keys: Keys, log: RequestLog
+) -> Supervisor:
     """Return the supervisor of every background task of the application."""
-    polling = PurposeThreads("poll", 1)
+    polling, reading = PurposeThreads("poll", 1), PurposeThreads("keys", 1)
     supervisor = Supervisor()
     supervisor.repeat("poll", lambda: polling.run(models.refresh), settings.poll_interval_s)
     supervisor.repeat("probe", readiness.probe, settings.probe_interval_s, settings.probe_interval_s)
+    if keys.wanted:
+        supervisor.repeat("keys", lambda: reading.run(keys.reread), READ_INTERVAL_S, READ_INTERVAL_S)
     supervisor.watch(log.writer.health)
     return supervisor
 

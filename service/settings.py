@@ -138,7 +138,7 @@ class Settings(BaseSettings):
         ),
     ] = 10.0
     keys: Annotated[
-        Path | None, Field(description="File of API keys, read again when it changes. Unset: no key is needed.")
+        Path | None, Field(description="File of API keys, read again twice a second. Unset: no key is needed.")
     ] = None
     probe_interval_s: Annotated[
         float, Field(gt=0, le=3600, description="Interval between self-checks of every model, in s.")

@@ -10,6 +10,7 @@ from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.registry.registry import Registry
 from service.settings import Settings
+from tests.fakes import NO_KEYS
 from tests.running_service import ROOT
 
 Json = dict[str, Any]
@@ -18,7 +19,7 @@ Json = dict[str, Any]
 @cache
 def document() -> Json:
     """Return the OpenAPI document of an app with API keys, which has every possible answer. No model is needed."""
-    app = create_app(Settings(keys=Path("nowhere")), LoadedModels(Registry(Path("nowhere")), OnnxPredictor))
+    app = create_app(Settings(keys=NO_KEYS), LoadedModels(Registry(Path("nowhere")), OnnxPredictor))
     return app.openapi()
 
 

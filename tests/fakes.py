@@ -17,6 +17,7 @@ from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContex
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 
+NO_KEYS = Path(__file__).parent / "data" / "no_keys.txt"
 STD = (0.001, 0.002, 0.03)
 BROKEN = b"broken"  # a model that the fake factory refuses
 LYING = b"lying"  # a model that loads and fails its self-check

@@ -38,20 +38,33 @@ class Pool(Protocol):
         ...
 
 
+class KeyCounts(Protocol):
+    """Counts of API keys. ``transport.keys.Keys`` keeps them."""
+
+    problems: tuple[str, ...]
+
+    @property
+    def count(self) -> int:
+        """Return the number of keys that are accepted."""
+        ...
+
+
 def gauges(
     models: LoadedModels,
     readiness: Readiness,
     threads: Pool,
     admission: Traffic,
+    keys: KeyCounts,
     supervisor: Supervisor,
     dropped_lines: Mapping[str, int],
 ) -> Readings:
-    """Return the readings of served models, readiness, requests in progress, background tasks and the log."""
+    """Return the readings of served models, readiness, requests in progress, API keys, background tasks and the log."""
     return Readings(
         (
             *_of_the_process(readiness, threads, admission),
             *_of_models(models, readiness),
             *_of_registry(models),
+            *_of_keys(keys),
             *_of_tasks(supervisor, dropped_lines),
         )
     )
@@ -171,6 +184,18 @@ def _of_registry(models: LoadedModels) -> tuple[Reading, ...]:
             (),
             lambda: _one(models.counters.registry_failures),
             counts=True,
+        ),
+    )
+
+
+def _of_keys(keys: KeyCounts) -> tuple[Reading, ...]:
+    return (
+        Reading("cazsl_keys", "API keys that are accepted. 0 if keys are off.", (), lambda: _one(keys.count)),
+        Reading(
+            "cazsl_keys_problems",
+            "Problems of the file of API keys that /readyz lists.",
+            (),
+            lambda: _one(len(keys.problems)),
         ),
     )
 

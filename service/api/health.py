@@ -36,7 +36,8 @@ async def live() -> LiveBody:
 async def ready(request: Request, response: Response) -> ReadyBody:
     """Return 200 while at least one loaded model passes its self-checks, else 503.
 
-    A published version that is broken is listed in `problems` and does not change the status.
+    A published version that is broken, and a file of API keys that cannot be read, are listed in `problems` and do not
+    change the status.
     """
     models, readiness = snapshot_of(request), readiness_of(request)
     reason = readiness.reason()
@@ -51,7 +52,7 @@ async def ready(request: Request, response: Response) -> ReadyBody:
         reason=reason,
         checks=checks,
         models=served,
-        problems=list(models.problems),
+        problems=[*models.problems, *parts_of(request).keys.problems],
         tasks=[_task(health) for health in parts_of(request).supervisor.health()],
     )
 

@@ -76,7 +76,8 @@ class ReadyBody(Body):
     problems: Annotated[
         list[str],
         Field(
-            description="published versions that are not served, with the reason. Versions served before stay served.",
+            description="published versions that are not served, with the reason, and problems of the file of API "
+            "keys. Versions served before stay served, and keys accepted before stay accepted.",
             examples=[["push-indicator@2 is broken and not served: model.onnx: the sha256 differs"]],
         ),
     ]

@@ -36,7 +36,7 @@ from service.transport.fast_path import FastPath, Shortcut
 from service.transport.keys import Grant, Keys, Scope
 from service.transport.threads import ThreadPool
 from tests.fake_connection import FakeConnection, post
-from tests.fakes import all_fake_models
+from tests.fakes import NO_KEYS, all_fake_models
 from tests.request_strategies import ODD, PUSHER, VISUAL, contexts, numbers, pushes, references
 
 PLAIN = {"Content-Type": "application/json"}
@@ -374,7 +374,7 @@ def send_to_framework(
     models: LoadedModels, endpoints: Endpoints, keys: Keys, body: bytes, headers: dict[str, str]
 ) -> int:
     """Send a push to the route of the framework, which requires keys. Return the status of its answer."""
-    app = create_app(Settings(keys=Path("/absent") if keys.wanted else None, poll_interval_s=3600), models)
+    app = create_app(Settings(keys=NO_KEYS if keys.wanted else None, poll_interval_s=3600), models)
     app.parts = replace(app.parts, endpoints=endpoints, keys=keys)
     app.rings = ringed(app.framework, keys)
     with TestClient(app) as client:
