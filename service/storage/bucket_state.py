@@ -48,7 +48,11 @@ class StateFile:
             raise BrokenModelError(f"{STATE_FILE}: not the state of a model; restore it from a backup") from error
 
     def render(self) -> bytes:
-        """Render the JSON document."""
+        """Render the JSON document, and check that it can be read back.
+
+        Raises:
+            BrokenModelError: it cannot, as with too many aliases or versions.
+        """
         document = {
             "versions": sorted(self.state.versions),
             "aliases": dict(sorted(self.state.aliases.items())),
@@ -57,7 +61,9 @@ class StateFile:
             "event": self.event.decode(),
             "write": secrets.token_hex(8),  # makes the writes of two clients differ even if their content is equal
         }
-        return json.dumps(document, indent=2).encode() + b"\n"
+        content = json.dumps(document, indent=2).encode() + b"\n"
+        self.parse(content)
+        return content
 
 
 def _version(number: object) -> int:
