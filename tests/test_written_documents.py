@@ -7,6 +7,7 @@ service. A reader that accepts a document that was written by hand returns one t
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +131,7 @@ def test_a_draft_with_an_ugly_text_is_refused_or_read_back(registry: Registry, u
     drafts = list(changed(draft_manifest(), TEXTS[ugly], (str,)))
     assert len(drafts) > 20
     for draft in drafts:
-        accepts(registry, lambda draft=draft: registry.publish(draft, b"fine", "card"))
+        accepts(registry, partial(registry.publish, draft, b"fine", "card"))
     assert accepts(registry, lambda: registry.publish(draft_manifest(), b"fine", TEXTS[ugly])) == (
         ("character" not in ugly and "byte that" not in ugly) or ugly == "not a character"
     )
@@ -142,7 +143,7 @@ def test_a_draft_with_an_ugly_number_is_refused_or_read_back(registry: Registry,
     drafts = list(changed(draft_manifest(), NUMBERS[ugly], (int, float)))
     assert len(drafts) > 20
     for draft in drafts:
-        accepts(registry, lambda draft=draft: registry.publish(draft, b"fine", "card"))
+        accepts(registry, partial(registry.publish, draft, b"fine", "card"))
 
 
 @pytest.mark.parametrize("ugly", TEXTS)
@@ -242,5 +243,5 @@ def test_a_manifest_of_format_1_that_is_read_can_be_shown_and_copied(registry: R
         assert orjson.loads(orjson.dumps(document)) == document
         if read % 10 == 0:
             assert Registry(registry.root.parent / f"copy-{read}").copy(registry, NAME, 1) == version
-            assert accepts(registry, lambda manifest=version.manifest: registry.publish(manifest, b"fine", "card"))
+            assert accepts(registry, partial(registry.publish, version.manifest, b"fine", "card"))
     assert 20 < read < len(contents)
