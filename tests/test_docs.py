@@ -148,19 +148,14 @@ def test_every_command_of_a_page_runs_as_written(
     monkeypatch.chdir(folder)
     found = commands(page)
     assert len(found) == count
-    for line in found:
+    for line in (line.replace("/etc/cazsl", str(folder / "etc")) for line in found):
         if line.startswith("cazsl ") and ">" not in line:  # in this process, which has loaded the libraries
             result = CliRunner().invoke(main, shlex.split(line, comments=True)[1:])
             assert result.exit_code == 0, f"{line}\n{result.output}"
         elif UNTIL_STOPPED in line:
-            starts_and_stops(in_folder(line, folder), environment)
+            starts_and_stops(line, environment)
         else:
-            run(["bash", "-e"], in_folder(line, folder), folder, environment)
-
-
-def in_folder(line: str, folder: Path) -> str:
-    """Return a command with the folder of keys inside of a folder of the test."""
-    return line.replace("/etc/cazsl", str(folder / "etc"))
+            run(["bash", "-e"], line, folder, environment)
 
 
 def starts_and_stops(line: str, environment: dict[str, str]) -> None:
