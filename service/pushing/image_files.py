@@ -35,6 +35,7 @@ _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_PROGRESSIVE = frozenset((0xC2, 0xC6, 0xCA, 0xCE))
 _JPEG_LENGTHS = frozenset((*range(0xC0, 0xD0), *range(0xDA, 0xF0), 0xFE)) - {0xC8}  # markers with a length behind them
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]", re.DOTALL)  # other than stuffing, fill bytes and restarts
+_IGNORED = ("icc_profile", "photoshop")  # of which Pillow keeps second copies, as long as the file
 _SEARCHED = ("exif", "Raw profile type exif", "xmp", "XML:com.adobe.xmp")  # metadata in which Pillow seeks orientation
 
 
@@ -111,6 +112,8 @@ def open_image_file(content: bytes, file: ImageFile, where: str) -> Image.Image:
         raise InvalidImageError.at(where, "a picture of another size than its header says", "a whole picture")
     if getattr(image, "is_animated", False):
         raise InvalidImageError.at(where, "an animation", "a still picture")
+    for name in _IGNORED:
+        image.info.pop(name, None)
     return image
 
 

@@ -18,7 +18,7 @@ from PIL import Image
 
 from service.errors import ImageTooLargeError, InvalidImageError, RequestError
 from service.pushing import image_files
-from service.pushing.image_files import ImageLimits, bound_image_file
+from service.pushing.image_files import ImageLimits, bound_image_file, open_image_file
 from service.pushing.images import decode
 from tests.attacks.hostile_images import COSTLY_METADATA, HOSTILE, picture, png_chunk, png_with
 from tests.service.pushing.picture_variants import (
@@ -276,3 +276,15 @@ def test_the_memory_of_the_decoder_is_bounded_before_it_starts(content: bytes, p
     decode(content, ImageLimits(max_decoder_bytes=pixel_bytes * pixels))
     with pytest.raises(ImageTooLargeError, match=f"up to {pixels - 1} pixels"):
         decode(content, ImageLimits(max_decoder_bytes=pixel_bytes * (pixels - 1)))
+
+
+def test_ignored_metadata_is_not_kept_while_the_picture_is_decoded() -> None:
+    """Pillow's copies of a colour profile and of Photoshop's data are let go, because they are as long as the file."""
+    content = in_jpeg(
+        segment(0xE2, b"ICC_PROFILE\0\1\1" + bytes(500)),
+        segment(0xED, b"Photoshop 3.0\0" + b"8BIM\0\1\0\0\0\0\1\0" + bytes(256)),
+    )
+    with Image.open(io.BytesIO(content)) as image:
+        assert {"icc_profile", "photoshop"} <= image.info.keys()
+    with open_image_file(content, bound_image_file(content, ImageLimits(), "image"), "image") as image:
+        assert not {"icc_profile", "photoshop"} & image.info.keys()
