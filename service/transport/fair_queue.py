@@ -24,6 +24,7 @@ class Job:
         base_bytes: memory from its beginning to its end.
         wanted_bytes: memory that it needs for its next turn, with the base.
         held_bytes: memory that is counted for it now.
+        most_bytes: the most that was counted for it.
         begun: it has had a turn.
         working: it has a turn now.
         finished: it counts no longer.
@@ -33,6 +34,7 @@ class Job:
     base_bytes: int
     wanted_bytes: int = field(init=False)
     held_bytes: int = field(init=False, default=0)
+    most_bytes: int = field(init=False, default=0)
     begun: bool = field(init=False, default=False)
     working: bool = field(init=False, default=False)
     finished: bool = field(init=False, default=False)
@@ -105,6 +107,7 @@ class FairQueue(Generic[J]):
         self._working += 1
         job.begun = job.working = True
         job.held_bytes = job.wanted_bytes
+        job.most_bytes = max(job.most_bytes, job.held_bytes)
         return job
 
     def pause(self, job: J, used_s: float, needed_bytes: int) -> None:

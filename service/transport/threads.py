@@ -11,12 +11,13 @@ that has not begun is dropped. One that has begun ends at its next pause, or at 
 
 import asyncio
 import contextvars
+import ctypes
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from typing import Any, Final, TypeVar, TypeVarTuple
 
 from service.errors import DeadlineError
@@ -28,6 +29,9 @@ from service.turns import TURN
 T = TypeVar("T")
 Ts = TypeVarTuple("Ts")
 MAX_BYTES: Final = 256 << 20
+LARGE_BYTES: Final = 1 << 20  # a job with more leaves freed memory that is worth giving back
+IDLE_S: Final = 2.0  # without a job, before freed memory is given back: the next picture would take it again
+KEPT_BYTES: Final = 4 << 20
 
 
 class _ThreadJob(Job):
@@ -82,6 +86,7 @@ class ThreadPool:
         self._pool: ThreadPoolExecutor | None = None
         self._queue: FairQueue[_ThreadJob] = FairQueue(threads, max_waiting, max_bytes)
         self._lock = threading.Lock()  # of the pool, the queue and the state of every job
+        self._returning = False  # freed memory to the system, in a moment
 
     @property
     def jobs(self) -> int:
@@ -132,6 +137,19 @@ class ThreadPool:
         finally:
             self._end(job)
             job.work = _done  # a job that held its own work would keep the request until the next garbage collection
+            if job.most_bytes >= LARGE_BYTES and not self._returning:
+                self._returning = True
+                loop.call_later(IDLE_S, self._return_memory, loop)
+
+    def _return_memory(self, loop: asyncio.AbstractEventLoop) -> None:
+        """Give freed memory back to the system once no job works. The allocator keeps what its threads have freed."""
+        if self.jobs:
+            loop.call_later(IDLE_S, self._return_memory, loop)
+            return
+        self._returning = False
+        trim = _malloc_trim()
+        if trim is not None and self._pool is not None:
+            self._pool.submit(trim, KEPT_BYTES)
 
     def pause(self, job: _ThreadJob, needed_bytes: int) -> None:
         """Let a job wait for its next turn, in its thread.
@@ -211,6 +229,13 @@ def _done() -> Callable[[], None]:
 def _settle(result: "asyncio.Future[Any]", settle: Callable[[Any], None], outcome: Any) -> None:
     if not result.done():  # otherwise its client has left
         settle(outcome)
+
+
+@cache
+def _malloc_trim() -> Callable[[int], int] | None:
+    """Return the function of glibc that gives freed memory back, or None with another allocator."""
+    found: Callable[[int], int] | None = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    return found
 
 
 def threads_beside_the_loop() -> int:
