@@ -114,7 +114,9 @@ def create_app(
         trace: puts a ring around all others, such as ``tracing.Tracing``.
     """
     log = log or RequestLog()
-    threads = ThreadPool(threads_beside_the_loop(), settings.max_waiting, settings.deadline_s)
+    threads = ThreadPool(
+        threads_beside_the_loop(), settings.max_waiting, settings.deadline_s, settings.max_working_bytes
+    )
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
     supervisor = _supervisor(settings, models, readiness, keys, log)

@@ -128,6 +128,15 @@ class Settings(BaseSettings):
             description="Maximum number of large batches and images that wait for a thread. Excess requests get 503.",
         ),
     ] = 64
+    max_working_bytes: Annotated[
+        int,
+        Field(
+            ge=1 << 20,
+            le=1 << 40,
+            description="Maximum memory of the large batches and images in threads, in bytes, as their sizes and "
+            "pixels let expect. Others wait. One may always work, whatever it takes.",
+        ),
+    ] = 256 << 20
     deadline_s: Annotated[
         float,
         Field(

@@ -38,12 +38,14 @@ class FakePredictor:
 
     Attributes:
         calls: pushers of each call, (n, 3).
+        contexts: number of contexts of each call that had some.
         size: size of the graph that it pretends to run.
     """
 
     model: bytes
     takes_context: bool
     calls: list[FloatArray] = field(default_factory=list)
+    contexts: list[int] = field(default_factory=list)
     size: GraphSize = SMALL
 
     def predict(
@@ -51,6 +53,8 @@ class FakePredictor:
     ) -> tuple[FloatArray, FloatArray]:
         """See ``service.model.predictor.Predictor``."""
         self.calls.append(pusher)
+        if context is not None:
+            self.contexts.append(len(context))
         if self.model == FAILING and not is_checked(pusher):
             raise PredictionError("the fake fails")
         if self.model == BUGGY and not is_checked(pusher):

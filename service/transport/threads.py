@@ -80,7 +80,15 @@ class ThreadPool:
         deadline_s: time that a job may take, including its wait, in s.
     """
 
-    def __init__(self, threads: int, max_waiting: int, deadline_s: float, max_bytes: int = MAX_BYTES) -> None:
+    def __init__(
+        self,
+        threads: int,
+        max_waiting: int,
+        deadline_s: float,
+        max_bytes: int = MAX_BYTES,
+        idle_s: float = IDLE_S,
+    ) -> None:
+        self._idle_s = idle_s
         self.threads = threads
         self.deadline_s = deadline_s
         self._pool: ThreadPoolExecutor | None = None
@@ -139,14 +147,17 @@ class ThreadPool:
             job.work = _done  # a job that held its own work would keep the request until the next garbage collection
             if job.most_bytes >= LARGE_BYTES and not self._returning:
                 self._returning = True
-                loop.call_later(IDLE_S, self._return_memory, loop)
+                loop.call_later(self._idle_s, self._give_back_once_idle, loop)
 
-    def _return_memory(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Give freed memory back to the system once no job works. The allocator keeps what its threads have freed."""
+    def _give_back_once_idle(self, loop: asyncio.AbstractEventLoop) -> None:
         if self.jobs:
-            loop.call_later(IDLE_S, self._return_memory, loop)
-            return
-        self._returning = False
+            loop.call_later(self._idle_s, self._give_back_once_idle, loop)
+        else:
+            self._returning = False
+            self.give_back()
+
+    def give_back(self) -> None:
+        """Give freed memory back to the system, in a thread. The allocator keeps what its threads have freed."""
         trim = _malloc_trim()
         if trim is not None and self._pool is not None:
             self._pool.submit(trim, KEPT_BYTES)

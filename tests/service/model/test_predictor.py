@@ -1,5 +1,6 @@
 """Predictor on onnxruntime, with the models that ship."""
 
+import asyncio
 import os
 import subprocess
 import sys
@@ -7,14 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
-from service.errors import BrokenModelError, PredictionError
+from service.errors import BrokenModelError, DeadlineError, PredictionError
 from service.model.predictor import OnnxPredictor, Predictor
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
+from service.transport.threads import ThreadPool
 
 NONE, INDICATOR = ((expected_inputs(kind), OUTPUTS) for kind in (ContextKind.NONE, ContextKind.INDICATOR))
 
@@ -134,3 +137,66 @@ def test_an_output_that_is_no_gaussian_is_a_prediction_error(predictor: Predicto
     pusher, context, index = pushes(1)
     with pytest.raises(PredictionError, match="not finite"):
         predictor.predict(np.full_like(pusher, np.float32(3e38)), context, index)
+
+
+def slow_graph(steps: int) -> bytes:
+    """Build a graph without context that multiplies by a matrix this many times."""
+    width = 512
+    numbers = np.random.default_rng(3).uniform(-0.05, 0.05, (width, width)).astype(np.float32)
+    constants = {"in": numbers[:3], "step": numbers, "out": numbers[:, :3], "one": np.ones(1, dtype=np.float32)}
+    nodes = [helper.make_node("MatMul", ["pusher", "in"], ["0"])]
+    nodes += [helper.make_node("MatMul", [str(step), "step"], [str(step + 1)]) for step in range(steps)]
+    nodes += [
+        helper.make_node("MatMul", [str(steps), "out"], ["mean"]),
+        helper.make_node("Abs", ["mean"], ["distance"]),
+        helper.make_node("Add", ["distance", "one"], ["std"]),
+    ]
+    pose = [helper.make_tensor_value_info(name, TensorProto.FLOAT, ["n", 3]) for name in ("pusher", "mean", "std")]
+    stored = [numpy_helper.from_array(array, name) for name, array in constants.items()]
+    graph = helper.make_graph(nodes, "graph", pose[:1], pose[1:], initializer=stored)
+    opsets = [helper.make_opsetid("", 18)]
+    model: bytes = helper.make_model(graph, opset_imports=opsets, ir_version=10).SerializeToString()
+    return model
+
+
+def test_a_run_whose_answer_is_late_ends_at_the_next_node() -> None:
+    """A slow graph that runs in a thread does not occupy it beyond the deadline."""
+    predictor = OnnxPredictor(slow_graph(500), *NONE)
+    assert predictor.size.row_bytes > 500 * 512 * 4
+    pool, outcomes = ThreadPool(1, 0, 0.2), list[str]()
+
+    def work() -> None:
+        """Predict for several seconds."""
+        try:
+            predictor.predict(np.ones((2000, 3), dtype=np.float32), None, None)
+        except PredictionError:
+            outcomes.append("ended early")
+        else:
+            outcomes.append("ended")
+
+    async def scenario() -> None:
+        """Wait for the deadline, and then for the thread."""
+        with pytest.raises(DeadlineError):
+            await pool.run(work)
+        while pool.jobs:
+            await asyncio.sleep(0.01)
+
+    asyncio.run(scenario())
+    pool.close()
+    assert outcomes == ["ended early"]
+
+
+def test_all_sessions_share_one_arena(shipped: bytes) -> None:
+    """The memory of a large call serves the calls of other versions, so eight of them keep no more than one."""
+    predictors = [OnnxPredictor(shipped, *INDICATOR) for _ in range(9)]
+    asked = pushes(4000)
+    predictors[0].predict(*asked)
+    before = resident_bytes()
+    for predictor in predictors[1:]:
+        predictor.predict(*asked)
+    assert resident_bytes() - before < 24 << 20
+
+
+def resident_bytes() -> int:
+    """Return the memory of this process."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -7,8 +7,19 @@ import pytest
 
 from service.errors import DeadlineError, OverloadedError
 from service.processors import processors
-from service.transport.threads import ThreadPool, threads_beside_the_loop
+from service.transport.threads import LARGE_BYTES, ThreadPool, threads_beside_the_loop
 from service.turns import ending, pause
+
+
+class NotingPool(ThreadPool):
+    """A pool that counts how often it gives memory back."""
+
+    given_back = 0
+
+    def give_back(self) -> None:
+        """See ``ThreadPool.give_back``."""
+        super().give_back()
+        self.given_back += 1
 
 
 def test_a_function_runs_in_a_thread() -> None:
@@ -237,3 +248,39 @@ def test_a_thread_that_outlives_the_loop_is_silent(caplog: pytest.LogCaptureFixt
 def test_a_processor_is_left_to_the_event_loop() -> None:
     """The pool has one thread less than there are processors, but at least one."""
     assert threads_beside_the_loop() == max(1, processors() - 1)
+
+
+@pytest.mark.parametrize("size", [LARGE_BYTES - 1, LARGE_BYTES])
+def test_memory_is_given_back_after_large_jobs(size: int) -> None:
+    """A moment after the last large job has ended, freed memory goes back to the system, and again after the next."""
+    pool = NotingPool(1, 8, 10.0, idle_s=0.01)
+
+    async def scenario() -> None:
+        """Run two jobs, with the next only after the memory of the first was given back."""
+        for _ in range(2):
+            await pool.run(int, size_bytes=size)
+            await asyncio.sleep(0.2)
+
+    asyncio.run(scenario())
+    pool.close()
+    assert pool.given_back == (2 if size >= LARGE_BYTES else 0)
+
+
+def test_memory_is_kept_while_jobs_work() -> None:
+    """Memory that the next picture would take again is not given back between two of them."""
+    pool, release = NotingPool(1, 8, 10.0, idle_s=0.01), threading.Event()
+
+    async def scenario() -> int:
+        """Run a large job, and a job that outlasts the moment after it."""
+        await pool.run(int, size_bytes=LARGE_BYTES)
+        other = asyncio.create_task(pool.run(release.wait))
+        await asyncio.sleep(0.2)
+        found = pool.given_back
+        release.set()
+        await other
+        await asyncio.sleep(0.2)
+        return found
+
+    assert asyncio.run(scenario()) == 0
+    pool.close()
+    assert pool.given_back == 1
