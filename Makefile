@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 SOURCES := service training tests benchmarks
 VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' service/__init__.py)
 lock = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
-	--custom-compile-command 'make lock' $(2) --output-file deploy/locks/$(1).txt pyproject.toml
+	--custom-compile-command 'make lock' $(2) --output-file deploy/locks/$(1).txt
 
 .PHONY: help serve data train test fuzz check format openapi lock image size sbom clean
 .DEFAULT_GOAL := help
@@ -66,10 +66,12 @@ format: $(VENV)/dev ## repair format and order of imports
 openapi: $(VENV)/dev ## renew openapi/openapi.json from the app
 	$(BIN)/pytest --quiet tests/test_openapi.py --renew-openapi
 
-lock: $(VENV)/dev ## renew the image's locks from pyproject.toml: versions and digests
-	$(call lock,serving,)
-	$(call lock,s3,--extra s3)
-	$(call lock,all,--extra s3 --extra signing --extra otel)
+lock: $(VENV)/dev ## renew the image's locks from pyproject.toml: versions and digests, of the build backend too
+	$(call lock,serving,) pyproject.toml
+	$(call lock,s3,--extra s3) pyproject.toml
+	$(call lock,all,--extra s3 --extra signing --extra otel) pyproject.toml
+	$(BIN)/python -c "import tomllib; print(*tomllib.load(open('pyproject.toml', 'rb'))['build-system']['requires'], sep='\n')" \
+	| $(call lock,build,) -
 
 image: ## build the image cazsl, with Docker
 	docker build --tag cazsl --build-arg VERSION=$(VERSION) --build-arg REVISION=$$(git rev-parse HEAD) .

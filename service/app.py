@@ -19,6 +19,7 @@ from service.api.open_inference import routes as open_inference
 from service.api.open_inference.bodies import ErrorBody
 from service.api.open_inference.endpoints import inference_endpoints
 from service.api.openapi import give_examples, problems, protocol_errors, state_media_type
+from service.api.path_prefix import PathPrefix, servers
 from service.api.scrapes import Scrapes
 from service.api.v1 import routes as v1
 from service.api.v1.endpoints import ENDPOINTS, SINGLE
@@ -128,6 +129,7 @@ def create_app(
         lifespan=_lifespan(supervisor, threads, log),
         docs_url=None,  # our page loads no file from another host
         redoc_url=None,
+        servers=servers(settings.root_path),
         redirect_slashes=False,  # a redirect would repeat the host in the request
     )
     admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
@@ -145,8 +147,9 @@ def create_app(
         app.requests.refuse(code)
         return telemetry.new_id()
 
-    app.rings = trace(telemetry)
-    if app.rings is telemetry:  # a ring around all others must see every request
+    traced = trace(telemetry)
+    app.rings = PathPrefix(traced, settings.root_path) if settings.root_path else traced
+    if traced is telemetry:  # a ring around all others must see every request
         app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
     limits = _connection_limits(settings)
     app.connections = connection_class(House(limits, admission.held, refuse), app.shortcut)

@@ -14,6 +14,8 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 PREFIX: Final = "CAZSL_"
 # Controls, separators of lines, and halves of characters, from bytes that are not UTF-8.
 NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+_PREFIX_PATH: Final = re.compile(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)+")
+_ROUTES: Final = ("v1", "v2", "docs", "livez", "readyz", "metrics", "openapi.json")
 
 
 def is_set(value: object) -> bool:
@@ -28,6 +30,12 @@ class Settings(BaseSettings):
 
     host: Annotated[str, Field(description="Address to listen on. The default is this machine only.")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535, description="Port to listen on. 0 picks a free port.")] = 8000
+    root_path: Annotated[
+        str,
+        Field(
+            description="Path prefix of a proxy, such as /cazsl, whether the proxy strips it or not. Empty: no prefix."
+        ),
+    ] = ""
     registry: Annotated[str, Field(description="Registry of models: a folder, or s3://bucket/prefix.")] = "models"
     cache: Annotated[Path | None, Field(description="Folder for cached models of a bucket. Unset: ~/.cache/cazsl.")] = (
         None
@@ -195,6 +203,15 @@ class Settings(BaseSettings):
         if NOT_TEXT.search(value.strip()):
             raise ValueError("Input should be text in UTF-8 without line feeds and control characters")
         return value.strip()
+
+    @field_validator("root_path")
+    @classmethod
+    def _check_root_path(cls, value: str) -> str:
+        """Refuse a prefix that is no path, or that a route of the service begins with. Return it without its last /."""
+        prefix = value.rstrip("/")
+        if prefix and (not _PREFIX_PATH.fullmatch(prefix) or prefix.split("/")[1] in _ROUTES):
+            raise ValueError(f"Input should be a path such as /cazsl, and not begin with /{', /'.join(_ROUTES)}")
+        return prefix
 
     @field_validator("otlp_endpoint")
     @classmethod

@@ -25,6 +25,7 @@ from service.app import create_app
 from service.settings import PREFIX, Settings
 from tests.conftest import ROOT
 from tests.fakes import BROKEN, fake_models, publish_fake
+from tests.running_service import serve_in_thread
 
 DEPLOY = ROOT / "deploy"
 OVERLAYS = ("baked", "volume", "s3")
@@ -294,13 +295,47 @@ def test_the_panels_of_the_dashboard_do_not_overlap() -> None:
 def test_the_locks_agree_with_the_declared_dependencies(lock: str, extras: tuple[str, ...]) -> None:
     """Each locked version has its digests and satisfies the declared dependency. ``make lock`` renews the locks."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    text = (DEPLOY / "locks" / f"{lock}.txt").read_text(encoding="utf-8")
-    lines = re.findall(r"^([a-z0-9-]+)==([^ ;\\]+).*?(\\\n +--hash=sha256:|$)", text, re.MULTILINE)
-    assert all(digests.strip() for _, _, digests in lines)
-    pinned = {name: version for name, version, _ in lines}
     declared = [
         *project["dependencies"],
         *(entry for extra in extras for entry in project["optional-dependencies"][extra]),
     ]
+    check_lock(lock, declared)
+
+
+def test_the_lock_of_the_build_agrees_with_the_declared_backend() -> None:
+    """The backend that builds the wheel in the image is locked with its digests, as every dependency is."""
+    check_lock(
+        "build", tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["build-system"]["requires"]
+    )
+    dockerfile = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    installs = re.findall(r"pip --python \S+ install (.*?)(?: \\\\)?$", dockerfile, re.MULTILINE)
+    assert len(installs) == 3
+    assert all("--require-hashes" in words or "--no-index" in words for words in installs)
+
+
+def check_lock(lock: str, declared: list[str]) -> None:
+    """Check that each version of a lock has its digests, and that the declared requirements are satisfied."""
+    text = (DEPLOY / "locks" / f"{lock}.txt").read_text(encoding="utf-8")
+    lines = re.findall(r"^([a-z0-9-]+)==([^ ;\\]+).*?(\\\n +--hash=sha256:|$)", text, re.MULTILINE)
+    assert all(digests.strip() for _, _, digests in lines)
+    pinned = {name: version for name, version, _ in lines}
     for wanted in map(Requirement, declared):
         assert pinned[wanted.name] in wanted.specifier, wanted
+
+
+@pytest.mark.parametrize("variables", [{"http_proxy": "http://127.0.0.1:9"}, {"CAZSL_PORT": " "}, {}])
+def test_the_health_check_of_the_image_asks_the_service_itself(tmp_path: Path, variables: dict[str, str]) -> None:
+    """The health check asks the port of the service, or the default one, and no proxy of the environment."""
+    dockerfile = (ROOT / "Dockerfile").read_text(encoding="utf-8")
+    [check] = re.findall(r"HEALTHCHECK .*\\\n  CMD (\[.*\])", dockerfile)
+    program, *words = json.loads(check)
+    assert program == "python"
+    assert "8000" in check
+    registry, models = fake_models(tmp_path / "models")
+    publish_fake(registry)
+    models.refresh()
+    with serve_in_thread(models) as client:
+        values = {"CAZSL_PORT": str(client.base_url.port)} | variables
+        words[-1] = words[-1].replace("8000", str(client.base_url.port))
+        done = subprocess.run([sys.executable, *words], env=values, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
