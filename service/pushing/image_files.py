@@ -11,7 +11,7 @@ import io
 import re
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from PIL import Image, JpegImagePlugin, PngImagePlugin, WebPImagePlugin
@@ -30,6 +30,7 @@ MAX_METADATA_BYTES: Final = 1 << 20  # EXIF or XMP, which are searched for the o
 _PIECE_BYTES: Final = 1 << 16  # of a JPEG, which are searched in 20 us, because a search holds Python's lock
 _PNG_MISSED_COLOURS = frozenset((b"\2\0", b"\4\0", b"\20\2"))  # bits and type whose transparent colour Pillow misses
 _PNG_PIXEL_BYTES, _WEBP_PIXEL_BYTES = 4, 16  # WebP: two canvases of an animation, the frame, and Pillow's picture
+_WEBP_LOSSLESS = frozenset((b"VP8L", b"ALPH", b"ANMF"))  # chunks that hold lossless data, or may
 _JPEG_SCAN, _JPEG_END, _JPEG_EXIF = 0xDA, 0xD9, 0xE1
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _JPEG_PROGRESSIVE = frozenset((0xC2, 0xC6, 0xCA, 0xCE))
@@ -47,7 +48,8 @@ class ImageLimits:
         max_bytes: bytes of the file.
         max_pixels: pixels of the picture.
         max_side: pixels of its longer side.
-        max_decoder_bytes: memory of the decoder. A progressive JPEG takes up to 12 bytes per pixel, a WebP 16.
+        max_decoder_bytes: memory of the decoder. A progressive JPEG takes up to 12 bytes per pixel, a WebP 16, and a
+            lossless WebP as much as its prefix tables may take.
     """
 
     max_bytes: int = 8 << 20
@@ -147,9 +149,11 @@ def _check_size(file: ImageFile, limits: ImageLimits, where: str) -> None:
     if max(width, height) > limits.max_side or width * height > limits.max_pixels:
         accepted = f"up to {limits.max_pixels} pixels and {limits.max_side} on a side"
         raise ImageTooLargeError(where, f"{width} x {height} pixels", accepted)
-    if width * height * file.pixel_bytes > limits.max_decoder_bytes:
-        accepted = f"up to {limits.max_decoder_bytes / file.pixel_bytes:.0f} pixels in a {file.kind} of this kind"
-        raise ImageTooLargeError(where, f"{width} x {height} pixels", accepted)
+    decoder_bytes = width * height * file.pixel_bytes
+    if decoder_bytes > limits.max_decoder_bytes:
+        received = f"a {file.kind} of {width} x {height} pixels that may take {decoder_bytes / (1 << 20):.0f} MiB"
+        accepted = f"up to {limits.max_decoder_bytes / (1 << 20):.0f} MiB: scale it down, or save it as a plain PNG"
+        raise ImageTooLargeError(where, received, accepted)
 
 
 def _walk_png(content: bytes, where: str) -> ImageFile:
@@ -240,13 +244,26 @@ def _next_marker(content: bytes, at: int) -> int:
 
 def _walk_webp(content: bytes, where: str) -> ImageFile:
     """Count the RIFF chunks of name, length and data, padded to even length (RFC 9649, section 2)."""
-    at = 12
+    at, lossless = 12, 0
     for _ in range(MAX_PARTS):
         if at + 8 > len(content):
-            return _webp_size(content)
-        (length,) = struct.unpack_from("<I", content, at + 4)
+            file = _webp_size(content)
+            tables = _webp_tables(file, min(lossless, len(content)))
+            return replace(file, pixel_bytes=file.pixel_bytes + tables / max(1, file.width * file.height))
+        name, length = struct.unpack_from("<4sI", content, at)
+        lossless += length * (name in _WEBP_LOSSLESS)
         at += 8 + length + length % 2
     raise _endless(where)
+
+
+def _webp_tables(file: ImageFile, coded_bytes: int) -> int:
+    """Return the memory that prefix tables of lossless data may take. A few of its bits can ask for kilobytes.
+
+    Blocks of 4 x 4 pixels may have a group of five codes each. A group is 20 bits long at least, and takes 5.6 KB and
+    up to 6.2 KB for long codes, which take 1 byte of data for 60 bytes of tables.
+    """
+    groups = min(1 << 16, -(-file.width // 4) * -(-file.height // 4), coded_bytes * 8 // 20)
+    return groups * 5600 + min(groups * 6200, coded_bytes * 60)
 
 
 def _webp_size(content: bytes) -> ImageFile:

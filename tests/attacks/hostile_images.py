@@ -113,6 +113,25 @@ def webp_canvas(width: int, height: int) -> bytes:
     return b"RIFF" + struct.pack("<I", len(body)) + body
 
 
+def webp_tables(side: int) -> bytes:
+    """Build a lossless WebP of this many blocks of 4 x 4 pixels a side, each with prefix codes of its own."""
+    fields = [(0x2F, 8), (4 * side - 1, 14), (4 * side - 1, 14), (0, 4), (0, 1), (0, 1), (1, 1), (0, 3), (0, 1)]
+    one_symbol = [(1, 1), (0, 3)]
+    for alphabet in (280, 256):  # 256 symbols of 8 bits
+        lengths = [(int(symbol in (8, 18)), 3) for symbol in (17, 18, 0, 1, 2, 3, 4, 5, 16, 6, 7, 8)]
+        fields += [(0, 1), (8, 4), *lengths, (0, 1), *[(0, 1)] * 256]
+        fields += [(1, 1), (alphabet - 256 - 11, 7)] if alphabet > 256 else []
+    fields += one_symbol * 3
+    for number in range(side * side):
+        fields += [(int(f"{byte:08b}"[::-1], 2), 8) for byte in (number & 255, number >> 8)]
+    fields += one_symbol * 5 * side * side
+    bits = "".join(f"{value:0{width}b}"[::-1] for value, width in fields)
+    length = -(-len(bits) // 16) * 2 + 16
+    data = int(bits[::-1], 2).to_bytes(length, "little")
+    body = b"WEBP" + struct.pack("<4sI", b"VP8L", length) + data
+    return b"RIFF" + struct.pack("<I", len(body)) + body
+
+
 def webp_riff(length: int) -> bytes:
     """Build a WebP whose container declares this length."""
     content = picture("WEBP")
@@ -151,6 +170,7 @@ HOSTILE: Final[dict[str, tuple[Callable[[], bytes], HTTPStatus]]] = {
     "a PNG of 2**31 pixels a side": (lambda: png(2**31 - 1, 2**31 - 1, png_rows(64, 64)), TOO_LARGE),
     "a JPEG that claims 65,500 a side": (lambda: jpeg_claiming(65_500, 65_500), TOO_LARGE),
     "a WebP that claims 16,384 a side": (lambda: webp_claiming(16_384, 16_384), TOO_LARGE),
+    "a WebP of 65,536 groups of prefix codes": (lambda: webp_tables(256), TOO_LARGE),
     "a PNG of no pixels": (lambda: png(0, 64, png_rows(0, 64)), INVALID),
     "a JPEG of no rows": (lambda: jpeg_claiming(64, 0), INVALID),
     "an animated PNG": (lambda: animation("PNG"), INVALID),

@@ -20,7 +20,7 @@ from service.errors import ImageTooLargeError, InvalidImageError, RequestError
 from service.pushing import image_files
 from service.pushing.image_files import ImageLimits, bound_image_file, open_image_file
 from service.pushing.images import decode
-from tests.attacks.hostile_images import COSTLY_METADATA, HOSTILE, picture, png_chunk, png_with
+from tests.attacks.hostile_images import COSTLY_METADATA, HOSTILE, picture, png_chunk, png_with, webp_tables
 from tests.service.pushing.picture_variants import (
     ANIMATIONS,
     ORIENTED,
@@ -265,7 +265,7 @@ def test_a_bound_holds_to_the_one(name: str) -> None:
         (saved(scene(), "JPEG", progressive=True, subsampling="4:2:0"), 7),
         (saved(scene(), "JPEG", progressive=True, subsampling="4:4:4"), 10),
         (saved(scene("CMYK"), "JPEG", progressive=True, subsampling="4:4:4"), 12),
-        (picture("WEBP"), 16),
+        (saved(scene(), "WEBP"), 16),
     ],
 )
 def test_the_memory_of_the_decoder_is_bounded_before_it_starts(content: bytes, pixel_bytes: int) -> None:
@@ -274,7 +274,7 @@ def test_the_memory_of_the_decoder_is_bounded_before_it_starts(content: bytes, p
     pixels = file.width * file.height
     assert file.needed_bytes == (pixel_bytes + 2) * pixels
     decode(content, ImageLimits(max_decoder_bytes=pixel_bytes * pixels))
-    with pytest.raises(ImageTooLargeError, match=f"up to {pixels - 1} pixels"):
+    with pytest.raises(ImageTooLargeError, match="that may take"):
         decode(content, ImageLimits(max_decoder_bytes=pixel_bytes * (pixels - 1)))
 
 
@@ -288,3 +288,17 @@ def test_ignored_metadata_is_not_kept_while_the_picture_is_decoded() -> None:
         assert {"icc_profile", "photoshop"} <= image.info.keys()
     with open_image_file(content, bound_image_file(content, ImageLimits(), "image"), "image") as image:
         assert not {"icc_profile", "photoshop"} & image.info.keys()
+
+
+def test_the_tables_of_a_lossless_webp_are_estimated_by_its_blocks_and_bits() -> None:
+    """A lossless WebP counts the prefix tables that it may ask for: few for a small file or a small picture."""
+    empty = saved(Image.new("L", (1024, 1024)), "WEBP", lossless=True)
+    noisy = saved(Image.effect_noise((256, 256), 100), "WEBP", lossless=True)
+    for content in (empty, noisy, webp_tables(16)):
+        decode(content)
+    with pytest.raises(
+        ImageTooLargeError, match=r"a WebP of 640 x 640 pixels that may take [0-9]+ MiB; accepted is up to 120 MiB"
+    ):
+        decode(webp_tables(160))
+    lossy = bound_image_file(saved(scene(), "WEBP"), ImageLimits(), "image")
+    assert lossy.pixel_bytes == 16
