@@ -34,10 +34,13 @@ async def live() -> LiveBody:
 
 @router.get("/readyz", summary="Readiness for predictions", responses={503: _NOT_READY})
 async def ready(request: Request, response: Response) -> ReadyBody:
-    """Return 200 while at least one loaded model passes its self-checks, else 503.
+    """Return 200 while the default models answer, else 503 with the `reason`.
 
-    A published version that is broken, and a file of API keys that cannot be read, are listed in `problems` and do not
-    change the status.
+    Default models answer pushes that name no model: `push-none`, `push-indicator` and `push-visual`. At least one of
+    them has to answer: its alias `champion` serves a version whose last self-check was right. So does every other one
+    that has a champion by the record of the registry. One that never had a champion, or whose champion was removed, is
+    not waited for. Faults that keep no default model from answering, and a file of API keys that cannot be read, are
+    in `problems` and leave the status at 200.
     """
     models, readiness = snapshot_of(request), readiness_of(request)
     reason = readiness.reason()

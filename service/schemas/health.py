@@ -51,7 +51,7 @@ class ReadyBody(Body):
     ready: Annotated[
         bool,
         Field(
-            description="true if a model is loaded, passed all checks and answers, and no SIGTERM was received",
+            description="true if the default models answer and no SIGTERM was received",
             examples=[True],
         ),
     ]
@@ -76,8 +76,9 @@ class ReadyBody(Body):
     problems: Annotated[
         list[str],
         Field(
-            description="published versions that are not served, with the reason, and problems of the file of API "
-            "keys. Versions served before stay served, and keys accepted before stay accepted.",
+            description="faults of the registry, each with its model and cause (versions that are not served, entries "
+            "that cannot be read, content that vanished without a removal), and problems of the file of API keys. "
+            "Versions served before stay served, and keys accepted before stay accepted.",
             examples=[["push-indicator@2 is broken and not served: model.onnx: the sha256 differs"]],
         ),
     ]

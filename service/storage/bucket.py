@@ -63,6 +63,8 @@ class Bucket:
         bucket, _, prefix = location.removeprefix("s3://").partition("/")
         if not _BUCKET.fullmatch(bucket) or not prefix.isprintable():
             raise RegistryError("registry: the location names no bucket; a registry in a bucket is s3://bucket/prefix")
+        if not {"", ".", ".."}.isdisjoint(prefix.strip("/").split("/") if prefix else ()):
+            raise RegistryError("registry: the prefix has an empty part, '.' or '..'; accepted is s3://bucket/prefix")
         endpoint = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
         options: S3Config = {"endpoint": endpoint} if endpoint else {}
         try:

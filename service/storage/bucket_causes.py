@@ -3,10 +3,12 @@
 ``fault_of_environment`` finds what is wrong before a request is sent: the library panics for some of these values.
 """
 
+import ipaddress
 import os
 import re
 from collections.abc import Mapping
 from typing import Final
+from urllib.parse import urlsplit
 
 UNREACHABLE: Final = "the store cannot be reached"
 _KEY_ID: Final = "AWS_ACCESS_KEY_ID"
@@ -20,7 +22,8 @@ _SENT: Final = (
     "AWS_ENDPOINT_URL",
     "AWS_ENDPOINT_URL_S3",
 )
-_URL: Final = re.compile(r"https?://[A-Za-z0-9_.\-\[\]:]+(/[!-~]*)?")
+_URL: Final = re.compile(r"https?://([A-Za-z0-9_.-]+|\[[0-9A-Fa-f:.]+\])(:[0-9]{1,5})?(/[A-Za-z0-9_.~/-]*)?")
+_NAME: Final = re.compile(r"[A-Za-z0-9-]{1,64}")
 _CODE: Final = re.compile(r"<Code>([A-Za-z]{1,60})</Code>")
 _STATUS: Final = re.compile(r"status code: ([0-9]{3})")
 _NO_KEYS: Final = f"no keys were found: set {_KEY_ID} and {_SECRET}"
@@ -93,8 +96,11 @@ def fault_of_environment() -> str | None:
         value = os.environ.get(name, "")
         if not value.isascii() or not value.isprintable() or value != value.strip():
             return f"{name} has a line break, a space or a letter that cannot be sent; remove it"
+    for name in ("AWS_REGION", "AWS_DEFAULT_REGION"):
+        if (value := os.environ.get(name, "")) and not _NAME.fullmatch(value):
+            return f"{name} is not a region; accepted are letters, digits and '-'"
     for name in ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL"):
-        if (value := os.environ.get(name, "")) and not _URL.fullmatch(value):
+        if (value := os.environ.get(name, "")) and not _is_address(value):
             return f"{name} is not an address; accepted is http://HOST:PORT or https://HOST:PORT"
     has_id, has_secret = (bool(os.environ.get(name)) for name in (_KEY_ID, _SECRET))
     if has_id != has_secret:
@@ -102,3 +108,17 @@ def fault_of_environment() -> str | None:
     if not has_id and _KEY_ID in os.environ:
         return f"{_KEY_ID} is empty; set it, or unset it"
     return None
+
+
+def _is_address(text: str) -> bool:
+    """Return whether a text is the address of a store. The library panics for hosts and ports that cannot exist."""
+    if not _URL.fullmatch(text):
+        return False
+    try:
+        parts = urlsplit(text)
+        host, _ = parts.hostname or "", parts.port
+        if text.partition("//")[2].startswith("[") or host.rpartition(".")[2].isdigit():
+            ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True

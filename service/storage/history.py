@@ -37,6 +37,7 @@ from service.storage.events import (
 
 __all__ = [
     "ALIASES",
+    "CHAINED_SINCE",
     "INTERRUPTED",
     "MAX_LINE_BYTES",
     "NO_HEAD",

@@ -10,13 +10,13 @@ import pytest
 from fastapi.testclient import TestClient
 
 from service.app import create_app
-from service.errors import PredictionError
+from service.errors import ModelNotReadyError, PredictionError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
-from service.model.tensors import FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.registry.registry import Registry
 from service.settings import Settings
-from tests.fakes import FakePredictor, load_fake, publish_fake
+from tests.fakes import LYING, FakePredictor, load_fake, publish_fake
 
 
 @dataclass
@@ -117,6 +117,68 @@ def test_an_empty_registry_is_not_ready_until_it_is_filled(tmp_path: Path) -> No
         assert client.get("/readyz").json()["checks"] == [
             {"name": "push-indicator", "version": 1, "ready": True, "reason": None}
         ]
+
+
+def verdict(registry: Registry) -> str | None:
+    """Return why a new process that serves this registry is not ready, or None."""
+    models = LoadedModels(registry, load_fake)
+    models.refresh()
+    readiness = Readiness(models, 2.0, 1.0)
+    assert readiness.is_ready() == (readiness.reason() is None)
+    return readiness.reason()
+
+
+def test_default_models_that_never_had_a_champion_are_not_waited_for(tmp_path: Path) -> None:
+    """A registry with one default model is ready, and stays so while a version of another one is not promoted yet."""
+    registry = Registry(tmp_path / "models")
+    publish_fake(registry)
+    assert verdict(registry) is None
+    publish_fake(registry, "push-visual", ContextKind.VISUAL, alias=None)
+    publish_fake(registry, "zzz", model=LYING)
+    assert verdict(registry) is None
+
+
+def test_recorded_default_model_that_does_not_answer_is_not_ready(tmp_path: Path) -> None:
+    """A new process is not ready while the champion of a default model is broken, until the champion is dropped."""
+    registry = Registry(tmp_path / "models")
+    publish_fake(registry)
+    publish_fake(registry, "push-visual", ContextKind.VISUAL, model=LYING)
+    reason = str(verdict(registry))
+    assert "push-visual@champion does not answer: push-visual@1 is broken and not served" in reason
+    models = LoadedModels(registry, load_fake)
+    models.refresh()
+    assert models.snapshot.find_default(ContextKind.INDICATOR).manifest.version == 1
+    with pytest.raises(ModelNotReadyError, match="push-visual@champion is not served now"):
+        models.snapshot.find_default(ContextKind.VISUAL)
+    registry.drop_alias("push-visual", "champion")
+    assert verdict(registry) is None
+
+
+def test_no_default_model_is_not_ready(tmp_path: Path) -> None:
+    """Models that a request must name do not make the service ready. Neither does a dropped champion."""
+    registry = Registry(tmp_path / "models")
+    publish_fake(registry, "zzz")
+    publish_fake(registry, alias="canary")
+    assert "no default model has a champion (push-none, push-indicator, push-visual)" in str(verdict(registry))
+    registry.point_alias("push-indicator", "champion", 1)
+    assert verdict(registry) is None
+    registry.drop_alias("push-indicator", "champion")
+    assert "no default model has a champion" in str(verdict(registry))
+
+
+def test_one_failing_default_model_is_not_ready(tmp_path: Path) -> None:
+    """A default model whose probe fails is not ready, although another one answers. Other models do not count."""
+    failing = FaultyPredictor(b"", takes_context=True)
+    registry = Registry(tmp_path / "models")
+    publish_fake(registry)
+    publish_fake(registry, "push-none", ContextKind.NONE)
+    models = LoadedModels(registry, lambda *load: failing if len(load[1]) > 1 else load_fake(*load))
+    models.refresh()
+    failing.fault.append("fails")
+    readiness = Readiness(models, 2.0, 1.0)
+    asyncio.run(readiness.probe())
+    assert "because push-indicator@1: " in str(readiness.reason())
+    assert models.snapshot.find_default(ContextKind.NONE).manifest.name == "push-none"
 
 
 def test_a_missing_registry_leaves_the_service_ready(models: LoadedModels, tmp_path: Path) -> None:

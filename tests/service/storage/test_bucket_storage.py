@@ -11,7 +11,7 @@ import obstore
 import pytest
 from obstore.store import S3Store
 
-from service.errors import BrokenModelError, PublishError, RegistryError
+from service.errors import BrokenModelError, ConflictError, PublishError, RegistryError
 from service.inference.loaded_models import LoadedModels
 from service.model.reference import ModelReference
 from service.registry.location import open_registry
@@ -72,8 +72,10 @@ def test_missing_home_folder_is_an_error_that_names_the_setting(
 
 KILLED = """
 import os, signal, sys
+from pathlib import Path
 import obstore
 from service.registry.location import open_registry
+from service.registry.registry import Registry
 from tests.fakes import publish_fake
 
 registry = open_registry(sys.argv[1])
@@ -88,7 +90,9 @@ def kill(frame, event, function):
             sys.setprofile(None)
             os.kill(os.getpid(), signal.SIGKILL)
 
+source = Registry(Path(sys.argv[4]))
 act = {
+    "push": lambda: registry.copy(source, "push-indicator", 3),
     "publish": lambda: publish_fake(registry, alias=None),
     "alias": lambda: registry.point_alias("push-indicator", "champion", 2),
     "remove": lambda: registry.remove("push-indicator", 2),
@@ -99,12 +103,28 @@ sys.setprofile(None)
 """
 
 
+def killed(project_root: Path, action: str, requests: int, source: Path) -> int:
+    """Run an action in a process that is killed before its n-th request, and return its exit status."""
+    return subprocess.run(
+        [sys.executable, "-c", KILLED, LOCATION, action, str(requests), str(source)],
+        cwd=project_root,
+        env={**os.environ, "PYTHONPATH": str(project_root)},
+        check=False,
+        timeout=PATIENCE_S,
+    ).returncode
+
+
 @pytest.mark.parametrize(
     ("action", "before", "after"),
     [("publish", ([1, 2], 1), ([1, 2, 3], 1)), ("alias", ([1, 2], 1), ([1, 2], 2)), ("remove", ([1, 2], 1), ([1], 1))],
 )
 def test_a_client_killed_before_any_request_leaves_the_old_state_or_the_new_one(
-    server: Server, project_root: Path, action: str, before: tuple[list[int], int], after: tuple[list[int], int]
+    server: Server,
+    project_root: Path,
+    tmp_path: Path,
+    action: str,
+    before: tuple[list[int], int],
+    after: tuple[list[int], int],
 ) -> None:
     """A client killed before its n-th request leaves the old or the new state.
 
@@ -117,14 +137,7 @@ def test_a_client_killed_before_any_request_leaves_the_old_state_or_the_new_one(
         registry = open_registry(LOCATION)
         publish_fake(registry)
         publish_fake(registry, alias=None)
-        command = [sys.executable, "-c", KILLED, LOCATION, action, str(requests)]
-        status = subprocess.run(
-            command,
-            cwd=project_root,
-            env={**os.environ, "PYTHONPATH": str(project_root)},
-            check=False,
-            timeout=PATIENCE_S,
-        ).returncode
+        status = killed(project_root, action, requests, tmp_path / "none")
         assert status in (0, -signal.SIGKILL)
         state = registry.state(NAME)
         assert all(registry.read(NAME, version).model == b"fine" for version in state.versions)
@@ -137,6 +150,99 @@ def test_a_client_killed_before_any_request_leaves_the_old_state_or_the_new_one(
     turn = seen.index(after)
     assert seen == [before] * turn + [after] * (len(seen) - turn)
     assert turn > 0
+
+
+def test_push_killed_before_any_request_is_finished_by_the_same_command(
+    server: Server, project_root: Path, tmp_path: Path
+) -> None:
+    """A push that is killed before its n-th request leaves no version or a whole one, and its repetition completes it.
+
+    The version then has its number, its bytes, its signature and both events. Content of another writer is not touched.
+    """
+    source = Registry(tmp_path / "source")
+    for _ in range(3):
+        publish_fake(source, alias=None)
+    source.sign(NAME, 3, b"signature")
+    whole = source.read(NAME, 3)
+    status, requests, seen = -1, 0, []
+    while status != 0:
+        requests += 1
+        server.empty()
+        registry = open_registry(LOCATION)
+        publish_fake(registry)
+        status = killed(project_root, "push", requests, source.root)
+        assert status in (0, -signal.SIGKILL)
+        seen.append(registry.versions(NAME))
+        for _ in range(2):
+            assert registry.copy(source, NAME, 3) == whole
+        assert registry.versions(NAME) == [1, 3]
+        history = registry.history(NAME)
+        assert history.problems == ()
+        assert [event.to for event in history.events if event.what == "publish"] == [1, 3]
+        assert history.has_signing(3)
+        assert [finding for finding in registry.survey() if not finding.where.startswith("probe-")] == []
+    assert requests > 10
+    assert seen == sorted(seen)
+    assert {tuple(versions) for versions in seen} == {(1,), (1, 3)}
+
+
+def test_push_over_the_files_of_another_writer_is_a_conflict(
+    registry: Registry, bucket: S3Store, tmp_path: Path
+) -> None:
+    """Files that another writer left under the number are not taken over. The error tells how to go on."""
+    source = Registry(tmp_path / "source")
+    for _ in range(3):
+        publish_fake(source, alias=None)
+    obstore.put(bucket, f"{NAME}/3/model.onnx", b"theirs")
+    with pytest.raises(ConflictError, match=rf"choose another number, or delete {NAME}/3/ in the bucket"):
+        registry.copy(source, NAME, 3)
+    assert bytes(obstore.get(bucket, f"{NAME}/3/model.onnx").bytes()) == b"theirs"
+
+
+@pytest.mark.parametrize("lost", ["first", "last", "state", "appended"])
+def test_history_in_a_bucket_is_not_cut_unseen(registry: Registry, bucket: S3Store, lost: str) -> None:
+    """A missing event, a state that was put back, and an added event are problems of the history."""
+    old = bytes(obstore.get(bucket, f"{NAME}/state.json").bytes())
+    registry.point_alias(NAME, "champion", 2)
+    registry.point_alias(NAME, "champion", 1)
+    assert registry.history(NAME).problems == ()
+    key = {"first": "000000001", "last": "000000004", "appended": "000000009"}.get(lost)
+    if lost == "state":
+        obstore.put(bucket, f"{NAME}/state.json", old)
+    elif lost == "appended":
+        obstore.put(bucket, f"{NAME}/history/{key}.json", b"{}")
+    else:
+        obstore.delete(bucket, f"{NAME}/history/{key}.json")
+    assert [problem for problem in registry.history(NAME).problems if "events" in problem]
+
+
+def test_writer_refuses_a_model_whose_state_is_missing(registry: Registry, bucket: S3Store) -> None:
+    """A model that lost its state is not begun anew: its versions would become invisible."""
+    obstore.delete(bucket, f"{NAME}/state.json")
+    for change in (lambda: publish_fake(registry, alias=None), lambda: registry.remove(NAME, 2)):
+        with pytest.raises(RegistryError, match=r"state\.json is missing, although there is a history"):
+            change()
+
+
+def test_every_object_outside_of_the_layout_is_named(registry: Registry, bucket: S3Store) -> None:
+    """An object that does not belong is named by the survey, wherever it lies."""
+    registry.sign(NAME, 1, b"signature")
+    registry.remove(NAME, 2)
+    assert registry.survey() == []
+    strays = {
+        "readme.txt": "readme.txt",
+        "probe-123": "probe-123",
+        f"{NAME}/notes": f"{NAME}/notes",
+        f"{NAME}/aliases/champion": f"{NAME}/aliases",
+        f"{NAME}/1/extra.bin": f"{NAME}/1/extra.bin",
+        f"{NAME}/2/model.onnx": f"{NAME}/2",
+        f"{NAME}/7/model.onnx": f"{NAME}/7",
+        f"{NAME}/history/1.json": f"{NAME}/history/1.json",
+        f"{NAME}/signatures/7": f"{NAME}/signatures/7",
+    }
+    for key in strays:
+        obstore.put(bucket, key, b"")
+    assert {finding.where for finding in registry.survey()} == set(strays.values())
 
 
 def test_outage_keeps_models_loaded_and_a_restart_serves_from_the_cache(server: Server, registry: Registry) -> None:
@@ -244,7 +350,10 @@ def test_store_without_conditional_writes_is_refused(registry: Registry, monkeyp
         publish_fake(open_registry(LOCATION), alias=None)
 
 
-@pytest.mark.parametrize("location", ["http://bucket/models", "ftp://x", "s3://"])
+@pytest.mark.parametrize(
+    "location",
+    ["http://bucket/models", "ftp://x", "s3://", "s3://b\n/x", "s3://models/../x", "s3://models/a//b", "s3://%/x"],
+)
 def test_invalid_location_is_an_error(server: Server, location: str) -> None:
     """A location that is neither a folder nor a bucket is a RegistryError."""
     with pytest.raises(RegistryError):

@@ -14,6 +14,7 @@ import pytest
 
 from service.errors import BrokenModelError, PublishError, RegistryError
 from service.registry.registry import Registry
+from service.storage.history import Event, History
 from tests.fakes import draft_manifest, publish_fake
 
 NAME = "push-indicator"
@@ -171,9 +172,10 @@ from service.errors import CazslError
 from service.model.reference import ModelReference
 from service.registry.registry import Registry
 from tests.fakes import publish_fake
+registry = Registry(Path(sys.argv[1]))
+registry.read("push-indicator", 1)  # imports the libraries that wait for their first use
 if os.getuid() == 0:
     os.setgid(12345), os.setuid(12345)
-registry = Registry(Path(sys.argv[1]))
 assert registry.read("push-indicator", registry.resolve(ModelReference.parse("push-indicator"))).model == b"fine"
 registry.fingerprint(), registry.history("push-indicator"), registry.unrecorded("push-indicator"), registry.survey()
 changes = (
@@ -307,6 +309,65 @@ def test_torn_last_line_is_reported_and_then_repaired(registry: Registry) -> Non
     assert [event.what for event in history.events[-3:]] == ["repair", "publish", "alias champion"]
     assert "torn" in (history.events[-3].reason or "")
     assert "recorded afterwards" in (history.events[-2].reason or "")
+
+
+def test_cut_history_is_reported_and_the_repair_is_recorded(registry: Registry) -> None:
+    """Lines that are cut off at the end, and a deleted record of the end, are reported. The next writer records it."""
+    folder = registry.root / NAME
+    for kept in (-1, 0, None):
+        if kept is None:
+            (folder / "history.head").unlink()
+        else:
+            lines = (folder / "history.jsonl").read_bytes().splitlines(keepends=True)
+            (folder / "history.jsonl").write_bytes(b"".join(lines[:kept]))
+        (problem,) = registry.history(NAME).problems
+        assert "cut off" in problem
+        registry.sign(NAME, 1, b"signature")
+        history = registry.history(NAME)
+        assert history.problems == ()
+        repairs = [event.reason for event in history.events if event.what == "repair"]
+        assert repairs[-1] == problem
+
+
+def test_deleted_history_is_reported(registry: Registry) -> None:
+    """A history that is gone is reported, with and without the record of its end."""
+    (registry.root / NAME / "history.jsonl").unlink()
+    assert "cut off" in registry.history(NAME).problems[0]
+    (registry.root / NAME / "history.head").unlink()
+    assert "history.jsonl is missing" in registry.history(NAME).problems[0]
+
+
+def test_history_of_a_writer_without_heads_stays_valid(registry: Registry) -> None:
+    """A history that an older writer began, without numbers and a recorded end, is valid and goes on."""
+    folder = registry.root / NAME
+    old = Event("publish", None, 1).stamped("ann", History().head).render()
+    (folder / "history.jsonl").write_bytes(old)
+    (folder / "history.head").unlink()
+    assert registry.history(NAME).problems == ()
+    registry.point_alias(NAME, "champion", 2)
+    assert registry.history(NAME).problems == ()
+    assert (folder / "history.head").read_text().startswith("4 ")
+
+
+def test_alias_deleted_by_hand_is_no_order_and_can_be_dropped(registry: Registry) -> None:
+    """An alias whose file was deleted is still asked for by the history. An operator can drop it."""
+    (registry.root / NAME / "aliases" / "champion").unlink()
+    publish_fake(registry, alias=None)
+    assert registry.history(NAME).lost(registry.state(NAME)).aliases == {"champion": 1}
+    registry.drop_alias(NAME, "champion", reason="meant")
+    assert registry.history(NAME).gave_up("champion")
+    assert registry.unrecorded(NAME) == ()
+
+
+@pytest.mark.parametrize("part", ["notes.txt", "Aliases", "aliases/X", "signatures/9", "removed/x", "removed/2"])
+def test_every_entry_outside_of_the_layout_is_named(registry: Registry, part: str) -> None:
+    """An entry that does not belong is named by the survey, wherever it lies."""
+    registry.sign(NAME, 1, b"signature")
+    registry.remove(NAME, 2)
+    assert registry.survey() == []
+    path = registry.root / NAME / part
+    (path / "model.onnx" if path.is_dir() else path).write_bytes(b"")
+    assert [finding.where for finding in registry.survey()] == [f"{NAME}/{part}"]
 
 
 def test_number_of_a_folder_deleted_by_hand_is_not_used_again(registry: Registry) -> None:

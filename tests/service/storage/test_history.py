@@ -1,13 +1,26 @@
 """Tests of histories: a changed line breaks the chain."""
 
+import hashlib
 import json
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.storage.history import PUBLISH, REMOVE, UNRECORDED, Event, History, ModelState, unrecorded
+from service.storage.history import (
+    CHAINED_SINCE,
+    NO_HEAD,
+    PUBLISH,
+    REMOVE,
+    UNRECORDED,
+    Event,
+    Head,
+    History,
+    ModelState,
+    unrecorded,
+)
 
 START = datetime(2026, 11, 1, tzinfo=UTC)
 EVENTS = (
@@ -20,10 +33,10 @@ EVENTS = (
 BEFORE_CHAINS = b'{"time": "2026-10-01T00:00:00+00:00", "who": "a", "what": "publish", "from": null, "to": 1}\n'
 
 
-def chain(events: tuple[Event, ...] = EVENTS, content: bytes = b"") -> bytes:
+def chain(events: tuple[Event, ...] = EVENTS, content: bytes = b"", start: datetime = START) -> bytes:
     """Render a history of these events, one per day."""
     for day, event in enumerate(events):
-        content += event.stamped("ann", History.parse(content).head, START + timedelta(days=day)).render()
+        content += event.stamped("ann", History.parse(content).head, start + timedelta(days=day)).render()
     return content
 
 
@@ -74,6 +87,88 @@ def test_history_without_a_chain_continues_as_one() -> None:
     assert History.parse(whole).problems == ()
     assert History.parse(whole.replace(b'"who": "a"', b'"who": "b"', 1)).problems
     assert History.parse(whole + BEFORE_CHAINS).problems, "a line without a digest cannot follow a chain"
+
+
+@pytest.mark.parametrize("stripped", [range(len(EVENTS)), range(1), range(1, len(EVENTS)), range(2, 3)])
+@pytest.mark.parametrize("follow_up", [False, True])
+def test_history_is_not_stripped_of_its_chain(stripped: range, follow_up: bool) -> None:
+    """A line without a link is accepted only from before chains existed, also if a change follows it."""
+    documents = [json.loads(line) for line in chain(start=CHAINED_SINCE).splitlines()]
+    for number in stripped:
+        del documents[number]["previous"]
+    content = b"".join(json.dumps(document).encode() + b"\n" for document in documents)
+    if follow_up:
+        content += Event(PUBLISH, None, 3).stamped("x", History.parse(content).head).render()
+    assert History.parse(content).problems
+
+
+def test_history_of_a_time_that_is_no_time_is_not_older_than_chains() -> None:
+    """A line whose time cannot be read is not taken for an old one."""
+    line = BEFORE_CHAINS.replace(b"2026-10-01T00:00:00+00:00", b"long ago")
+    assert "the chain was taken out" in History.parse(line).problems[0]
+
+
+def test_history_is_not_cut_at_its_end() -> None:
+    """A history that lacks lines of its recorded end has a problem. Later lines are no problem."""
+    lines = chain().splitlines(keepends=True)
+    for length in range(1, len(lines) + 1):
+        head = Head(length, hashlib.sha256(lines[length - 1]).hexdigest())
+        assert Head.parse(head.render()) == head
+        for kept in range(len(lines) + 1):
+            found = History.parse(b"".join(lines[:kept]), head)
+            assert (found.cut is None) == (kept >= length)
+            assert (found.cut in found.problems) == (kept < length)
+        changed = [*lines[: length - 1], lines[length - 1].replace(b"ann", b"bob"), *lines[length:]]
+        assert History.parse(b"".join(changed), head).cut is not None
+
+
+def test_history_with_numbers_has_a_recorded_end() -> None:
+    """A history whose lines are numbered has a recorded end. Without it, lines may have been cut off."""
+    line = Event(PUBLISH, None, 1).stamped("ann", History().head, START, number=1).render()
+    assert History.parse(line).cut is not None
+    assert History.parse(line, NO_HEAD).cut is not None
+    assert History.parse(line, Head(1, hashlib.sha256(line).hexdigest())).problems == ()
+
+
+@pytest.mark.parametrize("content", [b"", b"1", b"1 x\n", b"-1 " + b"0" * 64 + b"\n", b"1 " + b"0" * 64 + b"\n\n"])
+def test_other_content_is_no_head(content: bytes) -> None:
+    """A head is a number and a digest in one line."""
+    assert Head.parse(content) is None
+
+
+def test_absence_is_recorded_and_is_no_intent() -> None:
+    """A version or an alias that was only found missing is still asked for, until a writer removes it."""
+    absent = (Event("vanish", 2, None), replace(Event.alias_move("champion", 2, None), reason=UNRECORDED))
+    history = History.parse(chain((*EVENTS[:4], *absent)))
+    assert history.state() == ModelState(frozenset({1}), {}, frozenset({2}))
+    assert history.intended() == ModelState(frozenset({1, 2}), {"champion": 2})
+    assert history.lost(ModelState(frozenset({1}))) == ModelState(frozenset({2}), {"champion": 2})
+    assert not history.gave_up("champion")
+    dropped = History.parse(chain((*EVENTS[:4], Event.alias_move("champion", 2, None, "old"))))
+    assert dropped.gave_up("champion")
+    assert not dropped.gave_up("canary")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        b'{"time": "", "who": "", "what": "publish", "to": 1, "to": 2}',
+        b'{"time": "", "who": "", "what": "publish", "to": 1e999}',
+        b'{"time": "", "who": "", "what": "publish", "to": 1.5}',
+        b'{"time": "", "who": "", "what": "publish", "to": true}',
+        b'{"time": "", "who": "", "what": "publish", "to": -1}',
+        b'{"time": "", "who": "", "what": "publish", "to": NaN}',
+        b'{"time": "", "who": "", "what": ["publish"], "to": 1}',
+        b'{"time": "", "who": "\\ud800", "what": "publish", "to": 1}',
+        b'{"time": "", "who": "\xff", "what": "publish", "to": 1}',
+        b'{"who": "", "what": "publish", "to": 1}',
+        b"[" * 100_000,
+        b'"publish"',
+    ],
+)
+def test_line_that_is_not_strict_json_is_no_event(line: bytes) -> None:
+    """A line is read by the strict reader of registries, and one that it refuses is a problem."""
+    assert History.parse(line + b"\n").problems[0] == "line 1 is not an event"
 
 
 def test_torn_last_line_is_reported_and_the_others_are_kept() -> None:
