@@ -50,6 +50,7 @@ MAX_ELEMENTS_PER_ROW: Final = 1 << 20  # of one intermediate tensor, for one row
 MAX_BYTES_PER_ROW: Final = 16 << 20  # of all intermediate tensors, for one row and one context
 MAX_FIXED_BYTES: Final = 16 << 20  # of all computed constants, beside twice the size of the file
 MAX_MESSAGES: Final = 200_000  # of all kinds: nodes, attributes, tensors, declared types
+MAX_STRUCTURE_BYTES: Final = 4 << 20  # of the file without its tensors: nodes, names, descriptions
 MAX_FREE_SIZES: Final = 2  # numbers of rows and of contexts
 _COUNTS: Final = (64, 48)  # of rows and contexts, for which shapes are inferred. Then each is doubled
 
@@ -64,14 +65,18 @@ def inspect_graph(model: bytes) -> GraphSize:
         parsed = onnx.ModelProto.FromString(model)
     except DecodeError as error:
         raise BrokenModelError("model.onnx: not an ONNX model") from error
+    structure = len(model)
     for count, (where, message) in enumerate(_walk(parsed, "model")):
         if count == MAX_MESSAGES:
             raise _broken("model", f"more than {MAX_MESSAGES} parts")
         if isinstance(message, TensorProto):
+            structure -= message.ByteSize()
             _check_tensor(where, message)
             _clear_values(message)
         elif isinstance(message, onnx.NodeProto):
             _check_operator(where, message)
+    if structure > MAX_STRUCTURE_BYTES:
+        raise _broken("model", f"{structure} bytes beside its tensors, more than {MAX_STRUCTURE_BYTES}")
     _check_parts(parsed)
     return _check_sizes(parsed, MAX_FIXED_BYTES + 2 * len(model))
 

@@ -30,6 +30,7 @@ PATIENCE_S: Final = 60.0  # for a trial on a busy machine. Its processor time is
 OUT_OF_MEMORY: Final = 3  # exit status of a trial process
 MAX_REMEMBERED: Final = 1000
 MAX_KILLS: Final = 3  # of the process of one graph, by the kernel or for its patience. Then it is not tried again
+_KILLS: Final = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # by others. No graph is at fault
 _KEPT: Final = ("LD_LIBRARY_PATH", "LANG", "TZ")  # of the environment. The process needs none of the secrets in it
 _ADDED: Final = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "ORT_DISABLE_TELEMETRY": "1"}
 
@@ -114,7 +115,7 @@ class Trials:
                 return document["fault"] or GraphSize(document["row_bytes"], document["context_bytes"])
             status = process.wait()
             self.close()
-            if status == -signal.SIGKILL:
+            if -status in _KILLS:
                 reason = (
                     f"model.onnx: its trial was killed: it took more than {self._patience_s:g} s, or memory is short"
                 )
@@ -168,8 +169,8 @@ class Trials:
 
 def _start(arguments: Sequence[str]) -> subprocess.Popen[bytes]:
     kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
-    path = os.pathsep.join(place or str(Path.cwd()) for place in sys.path)
     try:
+        path = os.pathsep.join(place or str(Path.cwd()) for place in sys.path)
         process = subprocess.Popen(
             [sys.executable or "python3", "-P", "-B", *arguments],
             stdin=subprocess.PIPE,

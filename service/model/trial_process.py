@@ -14,6 +14,7 @@ import math
 import os
 import resource
 import select
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -44,6 +45,7 @@ def main() -> None:
     os.dup2(2, 1)  # a library that prints must not disturb the answers
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that asks
     for kind in (resource.RLIMIT_CORE, resource.RLIMIT_FSIZE):
         resource.setrlimit(kind, (0, 0))
     while select.select([0], [], [], IDLE_S)[0] and (head := sys.stdin.buffer.readline()):
@@ -82,7 +84,7 @@ def _answer(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -
     except BrokenModelError as error:
         fault = str(error)
     except (MemoryError, PredictionError):
-        fault = "model.onnx: it cannot be evaluated in the memory that is allowed"
+        fault = "model.onnx: it cannot be evaluated, or not in the memory that is allowed"
     except Exception as error:  # of any library that reads the file. It would be the same next time
         fault = f"model.onnx: it cannot be checked ({type(error).__name__})"
     return {"fault": fault, "row_bytes": size.row_bytes, "context_bytes": size.context_bytes}

@@ -275,6 +275,26 @@ def slow_load() -> ModelProto:
     )
 
 
+def long_names() -> ModelProto:
+    """Give a thousand tensors names of five thousand letters."""
+    return with_nodes(*(helper.make_node("Neg", ["pusher"], [f"{place:05000}"]) for place in range(1000)))
+
+
+def gathered_rows() -> ModelProto:
+    """Take a million copies of the first row."""
+    index = np.zeros(1 << 20, dtype=np.int64)
+    return with_nodes(helper.make_node("Gather", ["pusher", "index"], ["rows"]), constants={"index": index})
+
+
+def wide_padding() -> ModelProto:
+    """Pad a row with two billion numbers."""
+    return with_nodes(
+        helper.make_node("Unsqueeze", ["pusher", "axis"], ["signal"]),
+        helper.make_node("Conv", ["signal", "weight"], ["wide"], pads=[1 << 30, 1 << 30]),
+        constants={"axis": np.array([1]), "weight": np.ones((1, 1, 3), dtype=np.float32)},
+    )
+
+
 def many_parts() -> ModelProto:
     """Give one node a quarter of a million empty attributes."""
     model = valid_graph()
@@ -335,6 +355,9 @@ ATTACKS: dict[str, tuple[Callable[[], ModelProto], str]] = {
     "many live tensors": (many_live_tensors, "bytes of tensors per row, more than"),
     "slow push": (slow_push, "a push takes .* s of processor time; at most"),
     "slow load": (slow_load, "loading it takes .* s of processor time; at most|memory that is allowed"),
+    "long names": (long_names, "bytes beside its tensors, more than 4194304"),
+    "gathered rows": (gathered_rows, "elements per row, more than 1048576"),
+    "wide padding": (wide_padding, "elements per row, more than 1048576"),
     "too many parts": (many_parts, "more than 200000 parts"),
     "too many nodes": (many_nodes, "more than 10000 nodes"),
     "shapes that do not fit": (

@@ -74,6 +74,7 @@ def test_a_process_that_ended_for_want_of_work_is_replaced(tmp_path: Path) -> No
         ("os.kill(os.getpid(), signal.SIGSEGV)", BrokenModelError, "more memory than is allowed"),
         ("sys.exit(3)", BrokenModelError, "more memory than is allowed"),
         ("os.kill(os.getpid(), signal.SIGKILL)", BrokenModelError, "was killed"),
+        ("os.kill(os.getpid(), signal.SIGTERM)", BrokenModelError, "was killed"),
         ("time.sleep(60)", BrokenModelError, "took more than 1 s"),
         ("sys.exit(1)", RegistryError, "cannot work: it ended with status 1"),
         ("sys.exit(0)", RegistryError, "cannot work: it ended with status 0"),
