@@ -114,6 +114,13 @@ class FakeConnection:
         await asyncio.sleep(0)
         return b"".join(self.transport.sent)
 
+    def half_close(self) -> None:
+        """Send no more, as when a client shuts its sending half. The transport closes unless the service objects."""
+        if not self.transport.closed and not self.protocol.eof_received():
+            self.protocol.transport.close()
+            self.transport.closed = True
+            self.protocol.connection_lost(None)
+
     def disconnect(self) -> None:
         """Lose the connection, as when a client disappears."""
         self.transport.closed = True
@@ -127,10 +134,13 @@ def post(path: str, body: bytes, headers: Sequence[str] = ("content-type: applic
 
 
 def whole_answers(data: bytes) -> list[bytes]:
-    """Split sent bytes into answers by their content lengths. An incomplete answer at the end is left out."""
+    """Split sent bytes into answers by their content lengths. One without an end is left out, and a 100."""
     found = []
     while b"\r\n\r\n" in data:
         head, _, rest = data.partition(b"\r\n\r\n")
+        if head.startswith(b"HTTP/1.1 100 "):
+            data = rest
+            continue
         lengths = [line for line in head.lower().split(b"\r\n") if line.startswith(b"content-length: ")]
         length = int(lengths[0].partition(b": ")[2])
         if len(rest) < length:

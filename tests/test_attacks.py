@@ -1,6 +1,7 @@
 """Attacks on a service process with raw bytes: the corpus of attacks, slow clients, bodies and heads without an end."""
 
 import json
+import re
 import socket
 import threading
 import time
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.running_service import ROOT, is_ready, rss_mib, serve
+from tests.running_service import ROOT, is_ready, rss_mib, serve, wait_until
 
 CORPUS = sorted((ROOT / "tests" / "attacks" / "http").glob("*.http"))
 BODY = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'
@@ -63,8 +64,9 @@ def read_answer(connection: socket.socket) -> tuple[int, dict[str, str], bytes]:
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Service]:
-    """Run a service that waits a second for heads and bodies. Check after all tests that its memory is bounded."""
-    with serve(tmp_path_factory.mktemp("attacks"), body_timeout_s=SLOW_S) as (port, process):
+    """Run a service that waits a second for clients. Check after all tests that its memory is bounded."""
+    limits = {"body_timeout_s": SLOW_S, "answer_timeout_s": SLOW_S}
+    with serve(tmp_path_factory.mktemp("attacks"), **limits) as (port, process):
         found = Service(port, process)
         assert found.send(HEAD + b"Content-Length: %d\r\n\r\n" % len(BODY) + BODY)[0] == 200
         before = rss_mib(process)
@@ -187,3 +189,91 @@ def test_pipelined_requests_are_answered_in_order(service: Service) -> None:
         while received.count(b"HTTP/1.1 200 OK") < 100 and time.monotonic() < end:
             received += connection.recv(1 << 16)
     assert received.count(b"HTTP/1.1 200 OK") == 100
+
+
+def test_clients_that_do_not_read_are_cut_off(service: Service) -> None:
+    """A hundred clients send many requests and read no answer. Every route answers meanwhile, and they are cut off."""
+    wanted = b"GET /docs/swagger-ui-bundle.js HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    push = HEAD.replace(b"Connection: close\r\n", b"") + b"Content-Length: %d\r\n\r\n" % len(BODY) + BODY
+    deaf = [service.connect() for _ in range(100)]
+    try:
+        for number, connection in enumerate(deaf):
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.sendall((wanted, push)[number % 2] * 20)
+        for path in (b"/livez", b"/readyz", b"/metrics", b"/v1/models"):
+            assert service.send(b"GET %b HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n" % path)[0] == 200
+        assert service.send(HEAD + b"Content-Length: %d\r\n\r\n" % len(BODY) + BODY)[0] == 200
+        wait_until(lambda: refusals(service, "slow_reader") >= 50)
+    finally:
+        for connection in deaf:
+            connection.close()
+
+
+def refusals(service: Service, reason: str) -> float:
+    """Return the number of refusals for a reason."""
+    metrics = service.send(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")[2].decode()
+    found = re.search(rf'cazsl_refusals_total{{reason="{reason}"}} (\S+)', metrics)
+    return float(found[1]) if found else 0.0
+
+
+@pytest.mark.parametrize("path", ["/v1/predict", "/v1/predict/batch", "/v1/models"])
+def test_a_client_that_shuts_its_sending_half_gets_all_answers(service: Service, path: str) -> None:
+    """Three requests in one write and an end get three answers and an end, by the loop, a thread and the framework."""
+    batch = json.dumps({"pushers": [[-0.075, 0.0, 0.0]] * 2000, "contexts": [{"descriptor": "1a2b3c4a"}]}).encode()
+    body = {"/v1/predict": BODY, "/v1/predict/batch": batch, "/v1/models": b""}[path]
+    head = HEAD.replace(b"Connection: close\r\n", b"").replace(b"/v1/predict", path.encode())
+    head = head if body else head.replace(b"POST", b"GET")
+    with service.connect() as connection:
+        connection.sendall((head + b"Content-Length: %d\r\n\r\n" % len(body) + body) * 3)
+        connection.shutdown(socket.SHUT_WR)
+        received = b"".join(iter(lambda: connection.recv(1 << 16), b""))
+    assert received.count(b"HTTP/1.1 200 OK") == 3
+
+
+def test_an_early_refusal_is_read_by_a_client_that_sends_on(service: Service) -> None:
+    """A client that is refused at its head reads one answer and an end, though it sends megabytes and a second head."""
+    for refused, status in ((HEAD + b"Content-Length: 99999999\r\n\r\n", 413), (b"nonsense\r\n\r\n", 400)):
+        with service.connect() as connection:
+            connection.sendall(refused)
+            for _ in range(20):
+                connection.sendall(b" " * (1 << 18))
+            connection.sendall(b"\r\n\r\nGET /livez HTTP/1.1\r\nHost: a\r\n\r\n")
+            received = b"".join(iter(lambda: connection.recv(1 << 16), b""))
+        assert received.startswith(b"HTTP/1.1 %d " % status)
+        assert received.count(b"HTTP/1.1 ") == 1
+        assert b"\r\nx-request-id: " in received
+
+
+def test_an_idle_connection_makes_room_and_ends_in_time(tmp_path: Path) -> None:
+    """At the limit of connections a new client is served and the longest idle one is closed. The others end in time."""
+    request = b"GET /livez HTTP/1.1\r\nHost: a\r\n\r\n"
+    with serve(tmp_path, max_connections=8, keep_alive_s=3.0) as (port, process):
+        service = Service(port, process)
+        idle = [service.connect() for _ in range(8)]
+        for connection in idle:
+            connection.sendall(request)
+            assert connection.recv(1 << 16).startswith(b"HTTP/1.1 200 ")
+        with service.connect() as newcomer:
+            newcomer.sendall(request)
+            assert newcomer.recv(1 << 16).startswith(b"HTTP/1.1 200 ")
+            assert idle[0].recv(1 << 16) == b""
+            idle[7].sendall(request)
+            assert idle[7].recv(1 << 16).startswith(b"HTTP/1.1 200 ")
+            for connection in (*idle[1:], newcomer):
+                assert connection.recv(1 << 16) == b""
+        for connection in idle:
+            connection.close()
+
+
+def test_health_answers_while_all_other_requests_are_refused(tmp_path: Path) -> None:
+    """While no byte of a request may be held, predictions get a 503, and the routes of health answer."""
+    with serve(tmp_path, max_held_bytes=1 << 20, body_timeout_s=30.0) as (port, process):
+        service = Service(port, process)
+        holders = [service.connect() for _ in range(2)]
+        for connection in holders:
+            connection.sendall(HEAD + b"Content-Length: 700000\r\n\r\n" + b" " * 380_000)
+        wait_until(lambda: service.send(HEAD + b"Content-Length: 300000\r\n\r\n" + b" " * 300_000)[0] == 503)
+        for path in (b"/livez", b"/readyz", b"/metrics", b"/v2/health/live", b"/v2/health/ready"):
+            assert service.send(b"GET %b HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n" % path)[0] == 200
+        for connection in holders:
+            connection.close()

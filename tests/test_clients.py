@@ -1,15 +1,21 @@
-"""Third-party clients against a service process: tritonclient, blocking and asyncio, and KServe's SDK.
+"""Third-party clients against a service process: those of HTTP, tritonclient, blocking and asyncio, and KServe's SDK.
 
 KServe's SDK needs another protobuf than the trainer's onnx, and so an environment of its own. KSERVE_PYTHON is its
 interpreter (``python -m venv kserve && kserve/bin/pip install kserve==0.21.0``).
 """
 
 import asyncio
+import json
 import os
 import subprocess
-from collections.abc import Iterator
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection
+from pathlib import Path
 from typing import Any
 
+import httpx2
 import numpy as np
 import pytest
 import tritonclient.http as blocking
@@ -18,6 +24,7 @@ from tritonclient.utils import InferenceServerException
 
 from service.pushing.contexts import ObjectContext
 from service.registry.registry import Registry
+from tests.http_clients import PROGRAMS, is_installed, posted
 from tests.running_service import ROOT, serve
 
 KSERVE = os.environ.get("KSERVE_PYTHON")
@@ -27,6 +34,11 @@ CONTEXT = ObjectContext.from_descriptor("1a2b3c4a").indicator()[None]
 INDEX = np.zeros(2, dtype=np.int64)
 SHIPPED = Registry(ROOT / "models")
 CHAMPION = str(SHIPPED.aliases("push-indicator")["champion"])
+
+
+PUSH = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'
+JSON = {"Content-Type": "application/json"}
+TOO_LARGE = b" " * (16 << 20)  # more than a body may have, and more than a kernel takes at once
 
 
 @pytest.fixture(scope="module")
@@ -144,6 +156,64 @@ def test_the_asyncio_client_works(url: str) -> None:
                 await client.infer("nobody", tensors)
 
     asyncio.run(scenario())
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the compiled programs."""
+    return tmp_path_factory.mktemp("programs")
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_a_program_of_another_language_reads_its_answers(url: str, programs: Path, program: str) -> None:
+    """Its defaults work, an offered upgrade among them, and so does the answer to a body that is refused early."""
+    if not is_installed(program):
+        pytest.skip(f"{program} is not installed")
+    for body, status in ((PUSH, 200), (TOO_LARGE, 413)):
+        answers = posted(program, programs, f"http://{url}/v1/predict", body, JSON, turns=2)
+        assert [found for found, _ in answers] == [status] * 2
+        assert ("mean" in json.loads(answers[0][1])) is (status == 200)
+
+
+def by_urllib(url: str, body: bytes) -> list[int]:
+    """Send a body twice with urllib, and read the answers. Return the statuses."""
+    request = urllib.request.Request(url, body, JSON)  # noqa: S310  # a service of ours
+    statuses = []
+    for _ in range(2):
+        try:
+            answer = urllib.request.urlopen(request, timeout=60)  # noqa: S310
+        except urllib.error.HTTPError as error:
+            answer = error
+        with answer:
+            json.load(answer)
+            statuses.append(answer.status)
+    return statuses
+
+
+def by_http_client(url: str, body: bytes) -> list[int]:
+    """Send a body twice with http.client, which sends all of it before it reads. Return the statuses."""
+    connection = HTTPConnection(url.split("/")[2], timeout=60)
+    statuses = []
+    for _ in range(2):
+        connection.request("POST", "/v1/predict", body, JSON)
+        answer = connection.getresponse()
+        json.loads(answer.read())
+        statuses.append(answer.status)
+    connection.close()
+    return statuses
+
+
+def by_httpx(url: str, body: bytes) -> list[int]:
+    """Send a body twice with httpx2. Return the statuses."""
+    with httpx2.Client(timeout=60) as client:
+        return [client.post(url, content=body, headers=JSON).status_code for _ in range(2)]
+
+
+@pytest.mark.parametrize("send", [by_urllib, by_http_client, by_httpx])
+def test_a_library_of_python_reads_its_answers(url: str, send: Callable[[str, bytes], list[int]]) -> None:
+    """A library that sends a whole body before it reads gets the answer to a body that is refused early."""
+    assert send(f"http://{url}/v1/predict", PUSH) == [200, 200]
+    assert send(f"http://{url}/v1/predict", TOO_LARGE) == [413, 413]
 
 
 @pytest.mark.skipif(

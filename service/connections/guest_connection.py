@@ -1,6 +1,7 @@
 """A connection among others: it is counted, may be asked to make room, and ends without losing an answer."""
 
 import asyncio
+import socket
 from http import HTTPStatus
 from typing import Final, cast
 
@@ -15,6 +16,7 @@ from service.transport.callers import caller_at
 from service.transport.problems import MEDIA_TYPE, problem_body
 
 LINGER_S: Final = 0.25  # by then a request has arrived that its client sent before it saw the end
+KERNEL_BYTES: Final = 128 * 1024
 MAX_DISCARDED_BYTES: Final = 64 << 20
 
 
@@ -31,6 +33,9 @@ class GuestConnection(HttpToolsProtocol):
         """Open the connection, and start its clock."""
         self._writes = PairedWrites(transport, self.loop, self._finish)
         transport.set_write_buffer_limits(high=0)  # to write pauses as soon as bytes stay behind
+        behind = transport.get_extra_info("socket")
+        if behind is not None:  # the kernel would keep megabytes for each client that does not read
+            behind.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, KERNEL_BYTES)
         super().connection_made(cast(asyncio.Transport, self._writes))
         self._gate = self.flow = GatedFlow(cast(asyncio.Transport, self._writes))
         self.caller = caller_at(self.client[0] if self.client else "")
