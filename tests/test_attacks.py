@@ -203,16 +203,16 @@ def test_clients_that_do_not_read_are_cut_off(service: Service) -> None:
         for path in (b"/livez", b"/readyz", b"/metrics", b"/v1/models"):
             assert service.send(b"GET %b HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n" % path)[0] == 200
         assert service.send(HEAD + b"Content-Length: %d\r\n\r\n" % len(BODY) + BODY)[0] == 200
-        wait_until(lambda: refusals(service, "slow_reader") >= 50)
+        wait_until(lambda: metric(service, 'cazsl_refusals_total{reason="slow_reader"}') >= 50)
     finally:
         for connection in deaf:
             connection.close()
 
 
-def refusals(service: Service, reason: str) -> float:
-    """Return the number of refusals for a reason."""
-    metrics = service.send(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")[2].decode()
-    found = re.search(rf'cazsl_refusals_total{{reason="{reason}"}} (\S+)', metrics)
+def metric(service: Service, name: str) -> float:
+    """Return the value of a metric, or 0 before its first."""
+    text = service.send(b"GET /metrics HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n")[2].decode()
+    found = re.search(rf"^{re.escape(name)} (\S+)", text, re.MULTILINE)
     return float(found[1]) if found else 0.0
 
 
@@ -272,7 +272,8 @@ def test_health_answers_while_all_other_requests_are_refused(tmp_path: Path) -> 
         holders = [service.connect() for _ in range(2)]
         for connection in holders:
             connection.sendall(HEAD + b"Content-Length: 700000\r\n\r\n" + b" " * 380_000)
-        wait_until(lambda: service.send(HEAD + b"Content-Length: 300000\r\n\r\n" + b" " * 300_000)[0] == 503)
+        wait_until(lambda: metric(service, "cazsl_request_bytes_held") >= 760_000)
+        assert service.send(HEAD + b"Content-Length: 300000\r\n\r\n" + b" " * 300_000)[0] == 503
         for path in (b"/livez", b"/readyz", b"/metrics", b"/v2/health/live", b"/v2/health/ready"):
             assert service.send(b"GET %b HTTP/1.1\r\nHost: a\r\nConnection: close\r\n\r\n" % path)[0] == 200
         for connection in holders:
