@@ -32,6 +32,10 @@ class FakeTransport(asyncio.Transport):
         """Record one call."""
         self.sent.append(bytes(data))
 
+    def sent_answers(self) -> int:
+        """Return the number of whole answers that were sent."""
+        return len(whole_answers(b"".join(self.sent)))
+
     def writelines(self, list_of_data: Iterable[bytes | bytearray | memoryview]) -> None:
         """Record one call with all parts."""
         self.write(b"".join(list_of_data))

@@ -297,8 +297,9 @@ def test_head_is_wherever_get_is(loop: asyncio.Runner, app: Service, path: str) 
         """Send HEAD, then GET."""
         connection = FakeConnection(app, app.shortcut)
         connection.receive(get.replace(b"GET", b"HEAD") + get)
-        for _ in range(200):
-            await asyncio.sleep(0)
+        async with asyncio.timeout(60):
+            while not (connection.protocol.is_idle() and connection.transport.sent):
+                await asyncio.sleep(0.001)
         return b"".join(connection.transport.sent)
 
     first, second, body = loop.run(run()).split(b"\r\n\r\n", 2)
