@@ -7,10 +7,11 @@ from typing import Final
 from service.api.open_inference.queries import InferRequest, ask_inference, parse_reference
 from service.api.open_inference.wire import LENGTH_HEADER
 from service.errors import BodyTooLargeError, MalformedBodyError, UnsupportedMediaTypeError
-from service.transport.endpoints import LIGHT_BYTES, Endpoint, Headers, HttpRequest, Weight, header
+from service.transport.endpoints import BODY_GROWTH, LIGHT_BYTES, Endpoint, Headers, HttpRequest, Weight, header
 
 MODEL_PATH: Final = "/v2/models/{name}/infer"
 VERSION_PATH: Final = "/v2/models/{name}/versions/{version}/infer"
+_MOST_INFLATED: Final = 1032  # times its size: zlib's limit
 _WINDOW_BITS: Final = {"gzip": 16 + zlib.MAX_WBITS, "deflate": zlib.MAX_WBITS}
 
 
@@ -24,6 +25,7 @@ def inference_endpoints(max_body_bytes: int) -> tuple[Endpoint[InferRequest], ..
             ask=ask_inference,
             weigh=lambda _: Weight.LIGHT,  # a body that the event loop reads has few contexts
             is_read_quickly=_is_read_quickly,
+            held_bytes=partial(_held_bytes, max_body_bytes),
         )
         for path in (MODEL_PATH, VERSION_PATH)
     )
@@ -68,6 +70,14 @@ def _encoding(headers: Headers) -> str | None:
 
 def _is_read_quickly(request: HttpRequest) -> bool:
     return len(request.content) <= LIGHT_BYTES and _encoding(request.headers) is None
+
+
+def _held_bytes(max_body_bytes: int, request: HttpRequest) -> int:
+    """Return the memory of a body once it is read: of one that is compressed, by the most that it can become."""
+    size = len(request.content)
+    if _encoding(request.headers) is not None:
+        size = min(max_body_bytes, _MOST_INFLATED * size)
+    return BODY_GROWTH * size
 
 
 def _read(max_body_bytes: int, request: HttpRequest) -> InferRequest:

@@ -13,6 +13,7 @@ from service.transport.endpoints import LIGHT_BYTES, Endpoint, Headers, HttpRequ
 
 LIGHT_CONTEXTS: Final = 256  # encoded in the event loop
 LIGHT_BATCH_BYTES: Final = 64 * 1024  # 1,000 pushes: read in a tenth of the time that the runtime takes to predict them
+_UPLOAD_GROWTH: Final = 4
 _JSON: Final = b"application/json"
 _JSON_RANGES: Final = frozenset(("*/*", "application/*", "application/json"))
 _NO_WEIGHTS: Final = frozenset(("q=0", "q=0.0", "q=0.00", "q=0.000"))
@@ -86,6 +87,11 @@ def _read_image_request(request: HttpRequest) -> ImageRequest:
     return ImageRequest(validate_body(PredictRequest, upload.fields), upload.image)
 
 
+def _upload_bytes(request: HttpRequest) -> int:
+    """Return the memory of an upload: a form is read in copies. Most of it is an image, which stays as it is."""
+    return _UPLOAD_GROWTH * len(request.content)
+
+
 def _weigh_single(request: PredictRequest) -> Weight:
     has_image = request.context is not None and request.context.image is not None
     return Weight.HEAVY if has_image else Weight.SINGLE
@@ -120,6 +126,7 @@ IMAGE: Final = Endpoint(
     ask=ask_image,
     weigh=lambda _: Weight.HEAVY,
     is_read_quickly=lambda _: False,
+    held_bytes=_upload_bytes,
 )
 CONTEXTS: Final = Endpoint(
     "/v1/contexts",
@@ -128,5 +135,6 @@ CONTEXTS: Final = Endpoint(
     ask=describe_view,
     weigh=lambda _: Weight.HEAVY,
     is_read_quickly=lambda _: False,
+    held_bytes=_upload_bytes,
 )
 ENDPOINTS: Final = (SINGLE, BATCH, IMAGE, CONTEXTS)

@@ -12,7 +12,7 @@ from fastapi.testclient import TestClient
 
 from service.api.open_inference.endpoints import MODEL_PATH, VERSION_PATH, inference_endpoints, inflate
 from service.errors import BodyTooLargeError, MalformedBodyError, UnsupportedMediaTypeError
-from service.transport.endpoints import LIGHT_BYTES, Headers, HttpRequest
+from service.transport.endpoints import BODY_GROWTH, LIGHT_BYTES, Headers, HttpRequest
 from tests.service.api.open_inference.tensors import INDICATOR, PUSHES, URL, document, error, numbers, packed, tensor
 
 
@@ -117,3 +117,16 @@ def test_the_event_loop_reads_small_plain_bodies_only(size: int, headers: Header
 def test_models_and_versions_have_an_endpoint_each() -> None:
     """The templates of the paths are those of the documented routes."""
     assert [endpoint.path for endpoint in inference_endpoints(1)] == [MODEL_PATH, VERSION_PATH]
+
+
+@pytest.mark.parametrize(
+    ("size", "encoding", "expected"),
+    [(100, b"identity", 100), (100, b"gzip", 100 * 1032), (100_000, b"deflate", 4 << 20)],
+    ids=["plain", "compressed", "compressed and large"],
+)
+def test_a_compressed_body_counts_as_the_most_that_it_becomes(size: int, encoding: bytes, expected: int) -> None:
+    """The memory of a job is that of its decompressed body, which the limit of bodies bounds."""
+    request = HttpRequest([(b"content-encoding", encoding)], bytes(size), {"name": "push-none"})
+    assert inference_endpoints(4 << 20)[0].held_bytes(request) == BODY_GROWTH * expected
+    zeros = zlib.compress(bytes(1 << 24), 9)
+    assert (1 << 24) <= 1032 * len(zeros)
