@@ -15,7 +15,7 @@ import itertools
 import logging
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextvars import Context
 from typing import Final
 
@@ -100,16 +100,19 @@ class MicroBatcher:
             asyncio.get_running_loop().call_soon(self._end_iteration, context=Context())
 
 
-def _groups(waiting: Iterable[_Waiting]) -> list[list[_Waiting]]:
+def _groups(waiting: list[_Waiting]) -> list[list[_Waiting]]:
     """Group queries of one model with one kind of context, at most ``MAX_PUSHES_PER_CALL`` and ``CALL_S`` together."""
-    filling: dict[tuple[int, str], list[_Waiting]] = {}
+    if len(waiting) == 1:
+        return [waiting]
+    filling: dict[tuple[int, str], tuple[list[_Waiting], int]] = {}
     groups: list[list[_Waiting]] = []
     for one in waiting:
         model = one[0].model
         key = (id(model), one[0].contexts.kind)
-        group = filling.get(key)
-        if group is None or len(group) >= min(MAX_PUSHES_PER_CALL, model.cost.contexts_within(CALL_S)):
-            group = filling[key] = []
+        group, most = filling.get(key) or ([], 0)
+        if len(group) == most:
+            group, most = [], min(MAX_PUSHES_PER_CALL, model.cost.contexts_within(CALL_S))
+            filling[key] = group, most
             groups.append(group)
         group.append(one)
     return groups
