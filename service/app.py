@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from fastapi import Depends, FastAPI
+from starlette.middleware.errors import ServerErrorMiddleware
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
@@ -42,7 +43,7 @@ from service.transport.callers import Callers
 from service.transport.endpoints import Endpoints
 from service.transport.fast_path import FastPath, Shortcut
 from service.transport.keys import READ_INTERVAL_S, Keys
-from service.transport.problems import internal_error, problem_response
+from service.transport.problems import problem_response
 from service.transport.threads import ThreadPool, threads_beside_the_loop
 
 _FIRST_POLL_S: Final = 2.0
@@ -79,6 +80,11 @@ class Service(FastAPI):
     connections: type[BoundedConnection]
     metrics: ASGIApp
     metrics_connections: type[BoundedConnection]
+
+    def build_middleware_stack(self) -> ASGIApp:
+        """Return the framework without its outermost ring, whose answer to an unexpected exception is plain text."""
+        stack = super().build_middleware_stack()
+        return stack.app if isinstance(stack, ServerErrorMiddleware) else stack
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one request, from the outermost ring inwards."""
@@ -140,7 +146,7 @@ def create_app(
     app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics, Scrapes(metrics))
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
     install_error_handlers(app)
-    telemetry = RequestTelemetry(admission, _internal_error, log, app.requests)
+    telemetry = RequestTelemetry(admission, problem_response, log, app.requests)
 
     def refuse(code: str) -> str:
         """Count a refusal that happens before there is a request. Return the id of its answer."""
@@ -154,7 +160,7 @@ def create_app(
     limits = _connection_limits(settings)
     app.connections = connection_class(House(limits, admission.held, refuse), app.shortcut)
     scraped = Admission(app.parts.scrapes, _limits(settings), Callers(Keys(None)))
-    app.metrics = RequestTelemetry(scraped, _internal_error, log, app.requests)
+    app.metrics = RequestTelemetry(scraped, problem_response, log, app.requests)
     few = replace(limits, connections=_METRICS_CONNECTIONS)
     app.metrics_connections = connection_class(House(few, scraped.held, refuse))
     return app
@@ -222,7 +228,3 @@ def _connection_limits(settings: Settings) -> ConnectionLimits:
         connections=settings.max_connections,
         unsent_bytes=settings.max_unsent_bytes,
     )
-
-
-async def _internal_error(scope: Scope, receive: Receive, send: Send) -> None:
-    await problem_response(scope, internal_error())(scope, receive, send)

@@ -36,6 +36,8 @@ async def _on_validation(request: Request, error: Exception) -> Response:
 async def _on_http(request: Request, raised: Exception) -> Response:
     """Answer a refusal of the framework: an unknown route, or a method that a route lacks."""
     error = cast(HTTPException, raised)
+    if error.status_code == HTTPStatus.INTERNAL_SERVER_ERROR:
+        return problem_response(request.scope, raised)
     phrase = HTTPStatus(error.status_code).phrase
     code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
     detail = "see /docs for the routes and their methods"

@@ -30,7 +30,7 @@ from service.errors import (
     UnsupportedMediaTypeError,
 )
 from service.observability.records import RequestRecord, attach_record
-from service.transport.problems import MEDIA_TYPE, internal_error, problem_response
+from service.transport.problems import MEDIA_TYPE, internal_error, render_error
 
 _REQUEST_ID: Final = "3f0c7d2ab4e94c7f9f5d2b1a6c8e0d11"
 ERRORS: Final = (
@@ -142,7 +142,7 @@ def _is_always_there(field: dict[str, Any]) -> bool:
 def _written(prefix: str, error: CazslError) -> tuple[int, Any]:
     scope: dict[str, Any] = {"path": prefix}
     attach_record(scope, RequestRecord(_REQUEST_ID, "POST"))
-    response = problem_response(scope, error)
+    response = render_error(scope, error)
     return response.status_code, json.loads(bytes(response.body))
 
 

@@ -22,6 +22,15 @@ logger = logging.getLogger(__name__)
 Step = Callable[[], Awaitable[None]]
 
 
+def carried(error: BaseException) -> BaseException:
+    """Return the exception that a future carries from other work. The end of that work is not the end of its caller."""
+    if not isinstance(error, (StopIteration, *ENDINGS)):
+        return error
+    failure = RuntimeError(f"the work ended by {type(error).__name__}")
+    failure.__cause__ = error
+    return failure
+
+
 class TaskHealth:
     """Health of one background task: its age, its failures and its last error.
 

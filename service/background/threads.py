@@ -11,7 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import ParamSpec, TypeVar
 
-from service.background.supervision import ENDINGS
+from service.background.supervision import carried
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -52,7 +52,7 @@ class PurposeThreads:
                 result = run(function, *args, **kwargs)
             except BaseException as error:
                 self._count(-1)
-                outcome.set_exception(_carried(error))
+                outcome.set_exception(carried(error))
             else:
                 self._count(-1)
                 outcome.set_result(result)
@@ -82,12 +82,3 @@ class PurposeThreads:
     def _count(self, change: int) -> None:
         with self._counting:
             self.busy += change
-
-
-def _carried(error: BaseException) -> BaseException:
-    """Return the exception that the caller of a thread gets. The end of a thread is not the end of its caller."""
-    if not isinstance(error, (StopIteration, *ENDINGS)):
-        return error
-    failure = RuntimeError(f"the thread ended by {type(error).__name__}")
-    failure.__cause__ = error
-    return failure

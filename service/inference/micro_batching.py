@@ -21,6 +21,7 @@ from typing import Final
 
 import numpy as np
 
+from service.background.supervision import ENDINGS, carried
 from service.inference.query import Answer, ContextBatch, Query, predict
 from service.model.tensors import FloatArray
 from service.observability.timings import record_timing
@@ -29,7 +30,8 @@ MAX_PUSHES_PER_CALL: Final = 64  # holds the event loop for a tenth of a millise
 CALL_S: Final = 0.01  # of a call in the event loop, at most. A version that takes longer for one push needs a thread.
 ITERATION_S: Final = 0.02  # of all calls of an iteration: no other begins after it
 Gaussian = tuple[FloatArray, FloatArray, float]  # mean and std (1, 3), and the seconds that the call took
-Callback = Callable[[Gaussian | Exception], None]
+Outcome = Gaussian | BaseException
+Callback = Callable[[Outcome], None]
 _Waiting = tuple[Query, Callback]
 
 logger = logging.getLogger(__name__)
@@ -40,14 +42,14 @@ class MicroBatcher:
 
     def __init__(self) -> None:
         self._waiting: list[_Waiting] = []
-        self._failed: list[tuple[Exception, Callback]] = []
+        self._failed: list[tuple[BaseException, Callback]] = []
 
     def submit(self, query: Query, callback: Callback) -> None:
         """Predict one push at the end of this iteration. The callback gets the prediction, or the error raised."""
         self._schedule()
         self._waiting.append((query, callback))
 
-    def fail(self, error: Exception, callback: Callback) -> None:
+    def fail(self, error: BaseException, callback: Callback) -> None:
         """Pass an error to the callback at the end of this iteration, for a push that cannot be submitted."""
         self._schedule()
         self._failed.append((error, callback))
@@ -60,12 +62,12 @@ class MicroBatcher:
         """
         future: asyncio.Future[Gaussian] = asyncio.get_running_loop().create_future()
 
-        def callback(outcome: Gaussian | Exception) -> None:
+        def callback(outcome: Outcome) -> None:
             """Settle the future."""
             if future.done():  # its client has left
                 return
-            if isinstance(outcome, Exception):
-                future.set_exception(outcome)
+            if isinstance(outcome, BaseException):
+                future.set_exception(carried(outcome))
             else:
                 future.set_result(outcome)
 
@@ -122,7 +124,9 @@ def _settle(group: Sequence[_Waiting]) -> None:
     """Predict a group and call every callback, also after an error."""
     try:
         found = _predict([query for query, _ in group])
-    except Exception as error:  # one push must not fail the others, and a bug here must not leave them waiting
+    except ENDINGS:
+        raise
+    except BaseException as error:  # one push must not fail the others, and a bug here must not leave them waiting
         if len(group) > 1:
             for one in group:
                 _settle([one])
@@ -133,10 +137,12 @@ def _settle(group: Sequence[_Waiting]) -> None:
         _call(callback, gaussian)
 
 
-def _call(callback: Callback, outcome: Gaussian | Exception) -> None:
+def _call(callback: Callback, outcome: Outcome) -> None:
     try:
         callback(outcome)
-    except Exception:  # as above
+    except ENDINGS:
+        raise
+    except BaseException:  # as above
         logger.exception("an answer was lost")
 
 

@@ -9,12 +9,13 @@ import logging
 import re
 import time
 import uuid
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Final, Protocol
 
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.background.supervision import ENDINGS
 from service.observability.logs import REQUEST_LOGGER, RequestLog
 from service.observability.records import UNKNOWN_ROUTE, RequestRecord, attach_record
 from service.observability.timings import collect_timings
@@ -28,7 +29,7 @@ _QUIET_ROUTES: Final = frozenset({"/livez", "/readyz", "/metrics"})
 
 logger = logging.getLogger(__name__)
 _requests = logging.getLogger(REQUEST_LOGGER)
-InternalError = Callable[[Scope, Receive, Send], Awaitable[None]]
+Problem = Callable[[Scope, BaseException], ASGIApp]
 
 
 class RequestObserver(Protocol):
@@ -42,11 +43,19 @@ class RequestObserver(Protocol):
 class RequestTelemetry:
     """The outermost ring: an id, a log line and a count for every request, and a 500 for unexpected exceptions."""
 
-    def __init__(self, app: ASGIApp, internal_error: InternalError, log: RequestLog, observer: RequestObserver) -> None:
+    def __init__(self, app: ASGIApp, problem: Problem, log: RequestLog, observer: RequestObserver) -> None:
+        """Create the ring.
+
+        Args:
+            app: the next ring.
+            problem: logs an exception that the application did not expect, and makes its answer.
+            log: log of requests.
+            observer: counts requests.
+        """
         self.app = app
         self.log = log
         self._observer = observer
-        self._internal_error = internal_error
+        self._problem = problem
         self._process = uuid.uuid4().hex[:20]
         self._count = itertools.count()
 
@@ -69,11 +78,13 @@ class RequestTelemetry:
 
         try:
             await self.app(scope, receive, send_with_id)
-        except Exception:
-            self.log_failure(record)
+        except ENDINGS:
+            raise
+        except BaseException as error:  # a panic of a library in native code is no Exception
+            answer = self._problem(scope, error)
             if record.status:  # half of the answer is sent: only the end of the connection shows that it failed
                 raise
-            await self._internal_error(scope, receive, send_with_id)
+            await answer(scope, receive, send_with_id)
         finally:
             if record.route == UNKNOWN_ROUTE:
                 record.route = str(getattr(scope.get("route"), "path", UNKNOWN_ROUTE))
@@ -100,13 +111,12 @@ class RequestTelemetry:
         record.duration_s = duration_s
         record.timings = record.timings[:]  # a thread that missed the deadline goes on appending to the other list
         record.time = datetime.now(UTC)
-        self._observer.note(record)
-        if _requests.isEnabledFor(logging.DEBUG if record.route in _QUIET_ROUTES else logging.INFO):
-            self.log.add(record)
-
-    def log_failure(self, record: RequestRecord) -> None:
-        """Log the exception that is being handled, under the id of its request."""
-        logger.exception("request failed", extra={"request_id": record.request_id})
+        try:
+            self._observer.note(record)
+            if _requests.isEnabledFor(logging.DEBUG if record.route in _QUIET_ROUTES else logging.INFO):
+                self.log.add(record)
+        except Exception:  # a fault of metrics or logs is none of the request
+            logger.exception("a request was not counted", extra={"request_id": record.request_id})
 
 
 def id_header(record: RequestRecord) -> tuple[bytes, bytes]:

@@ -4,6 +4,7 @@ A span has the template of the route, the status, the request id and the model t
 body or a key. Only this module imports OpenTelemetry, and it is imported only if the operator sets an endpoint.
 """
 
+import logging
 from http import HTTPStatus
 from typing import Final
 
@@ -11,14 +12,16 @@ from opentelemetry.exporter.otlp.proto.http.trace_exporter import OTLPSpanExport
 from opentelemetry.sdk.resources import Resource
 from opentelemetry.sdk.trace import TracerProvider
 from opentelemetry.sdk.trace.export import BatchSpanProcessor
-from opentelemetry.trace import SpanKind, Status, StatusCode
+from opentelemetry.trace import INVALID_SPAN, Span, SpanKind, Status, StatusCode, use_span
 from opentelemetry.trace.propagation.tracecontext import TraceContextTextMapPropagator
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 import service
-from service.observability.records import record_of
+from service.observability.records import RequestRecord, record_of
 
 _TRACE_HEADERS: Final = frozenset((b"traceparent", b"tracestate"))
+
+logger = logging.getLogger(__name__)
 
 
 def exporting(endpoint: str) -> TracerProvider:
@@ -47,18 +50,43 @@ class Tracing:
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        carrier = {name.decode(): value.decode("latin-1") for name, value in scope["headers"] if name in _TRACE_HEADERS}
-        parent = self._propagator.extract(carrier)
-        with self._tracer.start_as_current_span(scope["method"], parent, SpanKind.SERVER) as span:
-            await self._app(scope, receive, send)
-            record = record_of(scope)
-            span.update_name(f"{record.method} {record.route}")
-            span.set_attributes({"http.request.method": record.method, "http.route": record.route})
-            span.set_attributes({"http.response.status_code": record.status, "cazsl.request_id": record.request_id})
-            if record.model:
-                span.set_attributes({"cazsl.model": record.model, "cazsl.version": record.version})
-                span.set_attribute("cazsl.pushes", record.pushes)
-            if record.code:
-                span.set_attribute("error.type", record.code)
-            if record.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
-                span.set_status(Status(StatusCode.ERROR))
+        span = self._begin(scope)
+        try:
+            with use_span(span):
+                await self._app(scope, receive, send)
+        finally:
+            _end(span, scope)
+
+    def _begin(self, scope: Scope) -> Span:
+        """Start the span of a request in the trace of its caller. A fault of the tracing costs the span only."""
+        try:
+            headers = scope["headers"]
+            carrier = {name.decode(): value.decode("latin-1") for name, value in headers if name in _TRACE_HEADERS}
+            return self._tracer.start_span(scope["method"], self._propagator.extract(carrier), SpanKind.SERVER)
+        except Exception:
+            logger.exception("a span could not begin")
+            return INVALID_SPAN
+
+
+def _end(span: Span, scope: Scope) -> None:
+    """End the span of a request. A fault of the tracing costs the span only."""
+    try:
+        try:
+            _describe(span, record_of(scope))
+        finally:
+            span.end()
+    except Exception:
+        logger.exception("a span was lost")
+
+
+def _describe(span: Span, record: RequestRecord) -> None:
+    span.update_name(f"{record.method} {record.route}")
+    span.set_attributes({"http.request.method": record.method, "http.route": record.route})
+    span.set_attributes({"http.response.status_code": record.status, "cazsl.request_id": record.request_id})
+    if record.model:
+        span.set_attributes({"cazsl.model": record.model, "cazsl.version": record.version})
+        span.set_attribute("cazsl.pushes", record.pushes)
+    if record.code:
+        span.set_attribute("error.type", record.code)
+    if record.status >= HTTPStatus.INTERNAL_SERVER_ERROR:
+        span.set_status(Status(StatusCode.ERROR))

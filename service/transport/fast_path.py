@@ -5,7 +5,6 @@
 the same ``Endpoints``, so their answers are the same to the byte.
 """
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,15 +13,16 @@ from typing import Any, Final
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
+from service.background.supervision import ENDINGS
 from service.errors import CazslError, SlowBodyError
-from service.inference.micro_batching import Gaussian
+from service.inference.micro_batching import Outcome
 from service.inference.query import Answer, Query
 from service.observability.records import RequestRecord, record_of
 from service.observability.telemetry import RequestTelemetry, id_header
 from service.transport.admission import Admission
 from service.transport.callers import caller_of
 from service.transport.endpoints import LIGHT_BYTES, NO_PARAMETERS, Endpoint, Endpoints, Headers, HttpRequest
-from service.transport.problems import internal_error, problem_response
+from service.transport.problems import problem_response
 
 Reply = Callable[[int, Headers, bytes], None]
 Leave = Callable[[], None]
@@ -30,8 +30,6 @@ _OK: Final = 200
 _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 _IMAGE: Final = b'"image"'
 _ESCAPE: Final = b"\\"  # may spell the name of a field
-
-logger = logging.getLogger(__name__)
 
 
 class FastPath:
@@ -121,7 +119,9 @@ class Shortcut:
         record = self._telemetry.begin(request.scope)
         try:
             query = self._query(request.scope, record, content)
-        except Exception as error:
+        except ENDINGS:
+            raise
+        except BaseException as error:
             self._endpoints.micro_batcher.fail(error, partial(self._refuse, request, record, reply))
             return
         if query is None:
@@ -141,27 +141,26 @@ class Shortcut:
         return self._endpoints.query_single(self._endpoint, asked)
 
     def _settle(
-        self, request: ShortcutRequest, record: RequestRecord, reply: Reply, query: Query, outcome: Gaussian | Exception
+        self, request: ShortcutRequest, record: RequestRecord, reply: Reply, query: Query, outcome: Outcome
     ) -> None:
         """Answer with the prediction of a query, or with its error."""
-        if isinstance(outcome, Exception):
+        if isinstance(outcome, BaseException):
             self._refuse(request, record, reply, outcome)
             return
         mean, std, seconds = outcome
         record.timings.append(("inference", seconds))
         try:
             answer = query.encode(mean, std)
-        except Exception as error:  # a bug here must not leave the client without an answer
+        except ENDINGS:
+            raise
+        except BaseException as error:  # a bug here must not leave the client without an answer
             self._refuse(request, record, reply, error)
             return
         note_answer(record, answer)
         self._end(request, record, reply, _OK, answer.head(), answer.content)
 
-    def _refuse(self, request: ShortcutRequest, record: RequestRecord, reply: Reply, error: Exception) -> None:
-        """Answer with a problem. An exception that is not of our tree is logged, and the client gets a 500."""
-        if not isinstance(error, CazslError):
-            logger.error("request failed", extra={"request_id": record.request_id}, exc_info=error)
-            error = internal_error()
+    def _refuse(self, request: ShortcutRequest, record: RequestRecord, reply: Reply, error: BaseException) -> None:
+        """Answer with a problem."""
         response = problem_response(request.scope, error)
         self._end(request, record, reply, response.status_code, response.raw_headers, bytes(response.body))
 

@@ -3,6 +3,7 @@
 They never hold a traceback, a path of the server, or the body that was sent. They have a few KiB at most.
 """
 
+import logging
 from collections.abc import Mapping, Sequence
 from http import HTTPStatus
 from typing import Final
@@ -16,6 +17,7 @@ from service.observability.records import record_of
 from service.schemas.body import MAX_FAULTS
 from service.schemas.problems import FaultBody, ProblemBody
 
+logger = logging.getLogger(__name__)
 MEDIA_TYPE: Final = "application/problem+json"
 MAX_DETAIL: Final = 1_200
 MAX_PART: Final = 160  # characters of a part of a fault
@@ -27,12 +29,27 @@ _HEADERS: Final[Mapping[HTTPStatus, Mapping[str, str]]] = {
 }
 
 
-def problem_response(scope: Scope, error: CazslError) -> Response:
-    """Return the answer for an error of our tree. Its causes are not sent to the client."""
-    if error.status != HTTPStatus.INTERNAL_SERVER_ERROR:  # the cause of such an error is logged
-        _forget_frames(error)
+def problem_response(scope: Scope, error: BaseException) -> Response:
+    """Return the answer for an error. Its causes are not sent to the client.
+
+    The cause of every 500 is logged under the id of its request. Every 500 of the service is made here.
+    """
+    if not isinstance(error, CazslError):
+        _log_cause(scope, error)
+        error = internal_error()
+    elif error.status == HTTPStatus.INTERNAL_SERVER_ERROR:
+        _log_cause(scope, error)
+    return render_error(scope, error)
+
+
+def render_error(scope: Scope, error: CazslError) -> Response:
+    """Return the answer for an error of our tree, without a line of the log."""
     faults = error.faults[:MAX_FAULTS] if isinstance(error, InvalidRequestError) else ()
     return render_problem(scope, error.status, error.code, error.title, str(error), faults, _HEADERS.get(error.status))
+
+
+def _log_cause(scope: Scope, error: BaseException) -> None:
+    logger.error("request failed", extra={"request_id": record_of(scope).request_id}, exc_info=error)
 
 
 def internal_error() -> CazslError:

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from functools import cache, partial
 from typing import Any, Final, TypeVar, TypeVarTuple
 
+from service.background.supervision import carried
 from service.errors import DeadlineError
 from service.observability.timings import record_timing
 from service.processors import processors
@@ -130,7 +131,7 @@ class ThreadPool:
             try:
                 return partial(deliver, result.set_result, function(*args))
             except BaseException as error:  # the client needs an answer to any of them
-                return partial(deliver, result.set_exception, error)
+                return partial(deliver, result.set_exception, carried(error))
 
         job = _ThreadJob(self, caller, size_bytes)
         job.work = partial(contextvars.copy_context().run, work)

@@ -21,9 +21,7 @@ from tests.running_service import PATIENCE_S, free_port, is_ready, wait_until
 
 GRACE_S = 1
 BUSY_S = 5.0  # for a machine that is busy. A process that awaits a thread would take an hour
-LARGE_BATCH = json.dumps(
-    {"pushers": [{"x": -0.075, "y": 0.0, "angle": 0.0}] * 1000, "context": {"descriptor": "1a2b3c4a"}}
-).encode()
+LARGE_BATCH = json.dumps({"pushers": [[-0.075, 0.0, 0.0]] * 1000, "contexts": [{"descriptor": "1a2b3c4a"}]}).encode()
 
 
 @contextmanager
@@ -54,14 +52,14 @@ def seconds_to_end(process: subprocess.Popen[bytes], number: int = signal.SIGTER
     return time.monotonic() - began
 
 
-def send(port: int, method: str, path: str, body: bytes | None = None) -> threading.Thread:
-    """Send a request in a thread, which ends with the connection."""
+def send(port: int, answers: list[bytes], method: str, path: str, body: bytes | None = None) -> threading.Thread:
+    """Send a request in a thread, which ends with the connection. Add its answer, if there is one."""
 
     def ask() -> None:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
         try:
             connection.request(method, path, body, {"Content-Type": "application/json"})
-            connection.getresponse().read()
+            answers.append(connection.getresponse().read())
         except (OSError, http.client.HTTPException):  # the service has ended
             pass
         finally:
@@ -117,14 +115,17 @@ def test_a_hanging_thread_of_every_purpose_does_not_delay_the_end(project_root: 
             **settings,
         ) as (process, port),
     ):
-        wait_until(lambda: is_ready(port))
-        requests = [send(port, "POST", "/v1/predict/batch", LARGE_BATCH) for _ in range(4)]
-        requests += [send(port, "GET", "/metrics") for _ in range(4)]
-        wait_until(lambda: "did not end" in readyz(port))
+        wait_until(lambda: accepts(port) and "did not end" in readyz(port))  # models are loaded, and probes hang
+        batches, scrapes = list[bytes](), list[bytes]()
+        requests = [send(port, batches, "POST", "/v1/predict/batch", LARGE_BATCH) for _ in range(4)]
+        requests += [send(port, scrapes, "GET", "/metrics") for _ in range(4)]
+        wait_until(lambda: len(batches) == 4)
+        assert all(b"deadline_exceeded" in answer for answer in batches)  # their threads hang
         assert seconds_to_end(process) < GRACE_S + LAST_S + BUSY_S
         assert process.returncode == 0
         for thread in requests:
             thread.join()
+        assert not any(b"cazsl_ready" in answer for answer in scrapes)
     os.close(reader)
     os.close(writer)
 

@@ -38,6 +38,7 @@ from service.transport.draining import CLOSE
 from service.transport.endpoints import LIGHT_BYTES, Endpoint, Endpoints, Weight
 from service.transport.fast_path import Shortcut
 from service.transport.keys import Keys
+from service.transport.problems import problem_response
 from service.transport.threads import ThreadPool
 from tests.fake_connection import FakeConnection, FakeTransport, post, whole_answers
 from tests.fakes import all_fake_models
@@ -226,7 +227,7 @@ def shortcut_only(
     endpoints = Endpoints([endpoint], models, ThreadPool(1, 8, 10.0))
     admitted = admission(FRAMEWORK, AdmissionLimits(1 << 20, 10.0, in_flight, 0, 1 << 24), Callers(Keys(keys)))
     log = RequestLog(io.StringIO())
-    telemetry = RequestTelemetry(admitted, FRAMEWORK, log, RequestMetrics(lambda *_: True))
+    telemetry = RequestTelemetry(admitted, problem_response, log, RequestMetrics(lambda *_: True))
     return Shortcut(endpoint, endpoints, admitted, telemetry)
 
 

@@ -19,6 +19,7 @@ from service.observability.records import RequestRecord
 from service.observability.telemetry import RequestTelemetry
 from service.registry.registry import Registry
 from service.settings import Settings
+from service.transport.problems import problem_response
 
 BODY = {"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}
 
@@ -159,9 +160,9 @@ async def fail(scope: Scope, receive: Receive, send: Send) -> None:
 def test_an_unexpected_exception_is_logged_and_answered(caplog: pytest.LogCaptureFixture) -> None:
     """The log has the exception with the request id, the client gets the internal error."""
     counter = Counter()
-    telemetry = RequestTelemetry(fail, PlainTextResponse("internal", 500), RequestLog(io.StringIO()), counter)
+    telemetry = RequestTelemetry(fail, problem_response, RequestLog(io.StringIO()), counter)
     response = TestClient(telemetry).get("/", headers={"X-Request-ID": "one"})
-    assert (response.status_code, response.text, response.headers["x-request-id"]) == (500, "internal", "one")
+    assert (response.status_code, response.json()["code"], response.headers["x-request-id"]) == (500, "internal", "one")
     assert "the fake has a bug" in caplog.text
     assert [record.status for record in counter.records] == [500]
 
@@ -170,7 +171,7 @@ def test_timings_of_a_late_thread_are_not_part_of_the_request() -> None:
     """A thread that goes on after its deadline does not change the record of an answered request."""
     counter = Counter()
     app = PlainTextResponse("fine")
-    telemetry = RequestTelemetry(app, app, RequestLog(io.StringIO()), counter)
+    telemetry = RequestTelemetry(app, problem_response, RequestLog(io.StringIO()), counter)
     record = telemetry.begin({"headers": [], "method": "POST"})
     timings = record.timings
     timings.append(("queue", 1.0))

@@ -34,6 +34,7 @@ from service.transport.callers import Callers
 from service.transport.endpoints import Endpoints, HttpRequest
 from service.transport.fast_path import FastPath, Shortcut
 from service.transport.keys import Grant, Keys, Scope
+from service.transport.problems import problem_response
 from service.transport.threads import ThreadPool
 from tests.fake_connection import FakeConnection, post
 from tests.fakes import NO_KEYS, all_fake_models
@@ -57,7 +58,7 @@ def ringed(app: ASGIApp, keys: Keys | None = None) -> ASGIApp:
     """Put telemetry and admission around an application, without the fast path."""
     log, metrics = RequestLog(io.StringIO()), RequestMetrics(lambda *_: True)
     callers = Callers(keys or Keys(None))
-    return RequestTelemetry(Admission(app, LIMITS, callers), PlainTextResponse("internal", 500), log, metrics)
+    return RequestTelemetry(Admission(app, LIMITS, callers), problem_response, log, metrics)
 
 
 @pytest.fixture(scope="module")
@@ -351,7 +352,9 @@ def send_to_connection(
     """Send a push on a connection with the shortcut. Return the status of its answer."""
     teapot = PlainTextResponse("the framework", 418)
     admission = Admission(teapot, LIMITS, Callers(keys))
-    telemetry = RequestTelemetry(admission, teapot, RequestLog(io.StringIO()), RequestMetrics(lambda *_: True))
+    telemetry = RequestTelemetry(
+        admission, problem_response, RequestLog(io.StringIO()), RequestMetrics(lambda *_: True)
+    )
 
     async def run() -> bytes:
         """Send and receive in an event loop."""
