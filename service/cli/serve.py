@@ -19,6 +19,7 @@ from service.app import create_app
 from service.background.ending import Ending
 from service.cli.config import configured, settings_options
 from service.cli.terminal import FAILED, printable
+from service.errors import SettingsError
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
 from service.model.trial import expect_trials
@@ -42,6 +43,7 @@ def serve(**options: Any) -> None:
     stops. `cazsl config` shows every setting.
     """
     settings = configured(options).settings
+    _check_host(settings)
     log = LogWriter()
     configure_logging(settings.log_level, log)
     log_uncaught()
@@ -76,6 +78,19 @@ def serve(**options: Any) -> None:
         logger.critical("the server failed", exc_info=True)
         ending.leave(FAILED)
     ending.leave(0 if server.started else FAILED)
+
+
+def _check_host(settings: Settings) -> None:
+    """Refuse a host without an address.
+
+    Raises:
+        SettingsError: the host has no address.
+    """
+    try:
+        socket.getaddrinfo(settings.host, settings.port, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError) as error:
+        reason = getattr(error, "strerror", None) or "not the name of a host"
+        raise SettingsError(f"CAZSL_HOST: {reason}. Send an address of this machine, such as 127.0.0.1.") from error
 
 
 def _configured(app: ASGIApp, connections: type[asyncio.Protocol], settings: Settings) -> uvicorn.Config:

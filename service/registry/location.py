@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Final
 
 from service.errors import RegistryError
+from service.files import read_file
 from service.registry.registry import Registry
 from service.registry.verification import MAX_MODEL_BYTES, Signatures
 from service.storage.base import Storage
@@ -32,19 +33,24 @@ def trusted_keys(paths: str) -> Signatures | None:
     Raises:
         RegistryError: a key cannot be read, or a needed extra is not installed.
     """
-    keys = tuple(Path(part) for part in paths.split(os.pathsep) if part)
-    if not keys:
+    if not paths.strip():
         return None
+    keys = tuple(Path(part.strip()) for part in paths.split(os.pathsep) if part.strip())
+    if not keys:
+        raise RegistryError(
+            "CAZSL_REQUIRE_SIGNATURE: received no path; accepted are public keys in PEM files, or no text"
+        )
     try:  # loaded only if signatures are required, because it takes 50 MiB of memory
         from service.registry.signing import TrustedKeys
     except ImportError as error:
         raise RegistryError("signatures need the extra 'signing': pip install 'cazsl[signing]'") from error
     for key in keys:
         try:
-            if b"PUBLIC KEY" not in key.read_bytes():
-                raise RegistryError(f"trusted key {key.name}: not a public key in PEM format")
+            if b"PUBLIC KEY" not in read_file(key):
+                raise RegistryError(f"CAZSL_REQUIRE_SIGNATURE: trusted key {key.name}: not a public key in PEM format")
         except OSError as error:
-            raise RegistryError(f"trusted key {key.name}: cannot be read: {error.strerror}") from error
+            reason = f"cannot be read: {error.strerror}"
+            raise RegistryError(f"CAZSL_REQUIRE_SIGNATURE: trusted key {key.name}: {reason}") from error
     return TrustedKeys(keys)
 
 

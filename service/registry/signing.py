@@ -48,7 +48,9 @@ def sign(files: Mapping[str, bytes], private_key: Path) -> bytes:
     """
     with _in_folder(files) as folder:
         path = folder / SIGNATURE_FILE
-        password = os.environ.get("CAZSL_KEY_PASSWORD")
+        password = (
+            os.environ.get("CAZSL_KEY_PASSWORD", "").rstrip("\r\n") or None
+        )  # files of secrets end in a line feed
         try:
             config = signing.Config().use_elliptic_key_signer(private_key=private_key, password=password)
             config.sign(folder / FOLDER, path)
