@@ -129,3 +129,19 @@ def test_errors_are_json_with_a_stable_code(root: Path) -> None:
     verified = document(root, "verify", status=3)[0]
     assert (verified["reference"], verified["ok"], verified["detail"]) == (f"{NAME}@1", True, None)
     assert document(root, "list") == [{"name": NAME, "versions": [1, 2], "aliases": {"champion": 1}}]
+
+
+def test_texts_of_a_registry_bring_no_control_character_to_the_terminal(project_root: Path, tmp_path: Path) -> None:
+    """A card, a file's and a folder's name with controls are printed as escapes by every command that reads."""
+    hostile = "\x1b[2J\u202e\x9b31m"
+    first = Registry(project_root / "models").read(NAME, 1)
+    registry = Registry(tmp_path / "models")
+    registry.publish(first.manifest, first.model, f"# {hostile}\nsecond line\n")
+    registry.point_alias(NAME, "champion", 1)
+    (tmp_path / "models" / f"a{hostile}\nb").mkdir()
+    (tmp_path / "models" / NAME / f"c{hostile}").touch()
+    for words in (["list"], ["show", NAME], ["diff", NAME, NAME], ["history", NAME], ["doctor"], ["verify"]):
+        result = run(tmp_path / "models", *words)
+        assert all(line.isprintable() for line in result.output.split("\n")), words
+    shown = run(tmp_path / "models", "show", NAME).stdout
+    assert "\\x1b[2J\\u202e\\x9b31m\nsecond line" in shown
