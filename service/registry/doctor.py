@@ -8,7 +8,7 @@ from service.registry.loading import load_version
 from service.registry.promotion import is_forced, judge, refusals
 from service.registry.registry import Registry
 from service.storage.base import RegistryFinding
-from service.storage.history import ALIASES, ModelState, unrecorded
+from service.storage.history import ALIASES, History, ModelState, unrecorded
 
 
 def examine(registry: Registry, load: PredictorFactory) -> Iterator[RegistryFinding]:
@@ -26,9 +26,14 @@ def examine(registry: Registry, load: PredictorFactory) -> Iterator[RegistryFind
 
 
 def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Iterator[RegistryFinding]:
-    state, history = registry.state(name), registry.history(name)
+    state = registry.state(name)
     for place, cause in state.faults.items():
         yield RegistryFinding(f"{name}/{place}", cause, _cure(name, place))
+    history = None
+    try:
+        history = registry.history(name)
+    except CazslError as error:  # the versions are examined without it
+        yield RegistryFinding(f"{name}/history", str(error), "restore it from a backup")
     for version in sorted(state.versions):
         named = sorted(alias for alias, to in state.aliases.items() if to == version)
         try:
@@ -38,7 +43,7 @@ def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Ite
             yield RegistryFinding(f"{name}/{version}", str(error), _remedy(error, name, version, named), severe=True)
             continue
         for alias in named if refused else ():
-            forced = is_forced(history, alias, version)
+            forced = is_forced(history or History(), alias, version)
             advice = f"promote another version, or go back: cazsl models rollback {name} --alias {alias}"
             wrong = f"names version {version}, which gates refuse: {refused}{' (its promotion was forced)' * forced}"
             yield RegistryFinding(f"{name}@{alias}", wrong, advice, severe=not forced)
@@ -46,6 +51,11 @@ def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Ite
         if version not in state.versions:
             advice = f"point it at an existing version: cazsl models promote {name} VERSION --alias {alias}"
             yield RegistryFinding(f"{name}@{alias}", f"names version {version}, which does not exist", advice)
+    if history is not None:
+        yield from _examine_history(name, state, history)
+
+
+def _examine_history(name: str, state: ModelState, history: History) -> Iterator[RegistryFinding]:
     yield from _lost(name, state, history.lost(state))
     for number, problem in enumerate(history.problems, start=1):
         torn = history.torn_bytes > 0 and number == len(history.problems)

@@ -16,10 +16,12 @@ from typing import Final
 from service.errors import BrokenModelError, RegistryError
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest, Manifest
 from service.model.reference import is_name
+from service.model.strict_json import read_json
 from service.storage.disk import replace_whole
 
 VERSION_FILES: Final = frozenset({MANIFEST_FILE, MODEL_FILE, CARD_FILE})
 MODELS: Final = "models.json"
+MAX_LISTING_BYTES: Final = 4 << 20
 STATE: Final = "state.json"
 SIGNATURE: Final = "signature"
 
@@ -33,7 +35,7 @@ class Cache:
     def models(self) -> list[str] | None:
         """Return the last listing of models, or None if there is none."""
         try:
-            names = json.loads((self.root / MODELS).read_bytes())
+            names = read_json((self.root / MODELS).read_bytes(), MAX_LISTING_BYTES)
         except (OSError, ValueError):
             return None
         return [name for name in names if isinstance(name, str) and is_name(name)] if isinstance(names, list) else None

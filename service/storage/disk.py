@@ -52,21 +52,37 @@ def read_plain(folder: int, file: str, limit: int) -> bytes:
     Raises:
         BrokenModelError: the file is missing, is not a plain file, or has more than ``limit`` bytes.
     """
+    with _plain(folder, file) as descriptor, os.fdopen(descriptor, "rb", closefd=False) as opened:
+        content = b"" if os.fstat(descriptor).st_size > limit else opened.read(limit + 1)
+        too_large = len(content) > limit or os.fstat(descriptor).st_size > limit
+    if too_large:
+        raise BrokenModelError(f"{file}: more than {limit} bytes")
+    return content
+
+
+def check_plain(folder: int, file: str) -> None:
+    """Check that a file of an open folder is plain and may be read. No byte is read.
+
+    Raises:
+        BrokenModelError: it is missing, is not a plain file, or may not be read.
+    """
+    with _plain(folder, file):
+        pass
+
+
+@contextmanager
+def _plain(folder: int, file: str) -> Iterator[int]:
+    """Open a plain file of an open folder for reading. Errors of the disk name the file."""
     try:
         descriptor = os.open(file, _FILE, dir_fd=folder)
         try:
             _check_plain(descriptor, file)
-            with os.fdopen(descriptor, "rb", closefd=False) as opened:
-                content = b"" if os.fstat(descriptor).st_size > limit else opened.read(limit + 1)
-                too_large = len(content) > limit or os.fstat(descriptor).st_size > limit
+            yield descriptor
         finally:
             os.close(descriptor)
     except OSError as error:
         known = {errno.ELOOP: "a link; links are not followed", errno.ENXIO: "not a regular file"}  # ENXIO: a socket
         raise BrokenModelError(f"{file}: {known.get(error.errno or 0, reason(error))}") from error
-    if too_large:
-        raise BrokenModelError(f"{file}: more than {limit} bytes")
-    return content
 
 
 def _check_plain(descriptor: int, file: str) -> None:

@@ -27,7 +27,7 @@ from typing import Final
 from service.errors import BrokenModelError, PublishError, RegistryError
 from service.model.reference import is_alias, parse_version
 from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding
-from service.storage.disk import lock, must_be_folder, read_plain, reason
+from service.storage.disk import check_plain, lock, must_be_folder, read_plain, reason
 from service.storage.folder_writer import HEAD, HISTORY, REMOVED, SIGNATURES, FolderWriter
 from service.storage.history import ALIASES, NO_HEAD, Event, Head, History, ModelState
 from service.storage.survey import folder_models_and_strangers, misplaced_files
@@ -63,6 +63,13 @@ class FolderStorage:
                     aliases[alias] = version
             except BrokenModelError as error:
                 faults[f"{ALIASES}/{alias}"] = str(error).removeprefix(f"{alias}: ")
+        for file in (HISTORY, HEAD):
+            try:
+                with self._folder(name) as folder:
+                    check_plain(folder, file)
+            except BrokenModelError as error:
+                if not isinstance(error.__cause__, FileNotFoundError):
+                    faults[file] = str(error).removeprefix(f"{file}: ")
         versions = _numbers(self._entries(name))
         return ModelState(versions, aliases, _numbers(self._listed(name, REMOVED, faults)), faults)
 
@@ -115,9 +122,7 @@ class FolderStorage:
             with self._folder(name) as folder:
                 content = read_plain(folder, HEAD, MAX_HEAD_BYTES)
         except BrokenModelError as error:
-            if isinstance(error.__cause__, FileNotFoundError):
-                return None
-            raise
+            return None if isinstance(error.__cause__, FileNotFoundError) else NO_HEAD
         return Head.parse(content) or NO_HEAD
 
     def signature(self, name: str, version: int) -> bytes | None:

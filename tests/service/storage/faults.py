@@ -78,6 +78,10 @@ FOLDER_FAULTS: Final[Mapping[str, Harm]] = {
     "alias has a hard link": lambda registry, name: path_of(registry, name, "backup").hardlink_to(
         path_of(registry, name, *CHAMPION)
     ),
+    "history is a folder": lambda registry, name: replaced(registry, name, "history.jsonl").mkdir(),
+    "history is a pipe": lambda registry, name: os.mkfifo(replaced(registry, name, "history.jsonl")),
+    "history is a link": lambda registry, name: replaced(registry, name, "history.jsonl").symlink_to("nowhere"),
+    "end of the history is a folder": lambda registry, name: replaced(registry, name, "history.head").mkdir(),
     "removed is a file": lambda registry, name: path_of(registry, name, "removed").write_text("1\n"),
     "model is a file": lambda registry, name: replaced(registry, name).write_text("1\n"),
     "model is a link": lambda registry, name: replaced(registry, name).symlink_to("push-indicator"),
