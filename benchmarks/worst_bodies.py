@@ -17,6 +17,8 @@ HEAD_BYTES: Final = 60 * 1024  # of a target or a header: 64 KiB are the limit o
 BOUNDARY: Final = "worst"
 _PLACEHOLDER: Final = "worst value"
 _JSON: Final = {"Content-Type": "application/json"}
+_GZIP: Final = _JSON | {"Content-Encoding": "gzip"}
+_BOMB: Final = 16  # size of a body once it is decompressed, in times of the limit
 _FORM: Final = {"Content-Type": f"multipart/form-data; boundary={BOUNDARY}"}
 # A unit is repeated up to a size, and once more up to just below a limit of structure, where it is parsed.
 _UNITS: Final[dict[str, tuple[bytes, bytes, bytes]]] = {
@@ -36,6 +38,7 @@ _UNITS: Final[dict[str, tuple[bytes, bytes, bytes]]] = {
     "escapes": (b'"', b"\\u00e9", b'"'),
     "a long number": (b"", b"7", b""),
     "a long name": (b'{"', MARK.encode(), b'":0}'),
+    "a long name of a list": (b'{"', MARK.encode(), b'":[[0]]}'),
 }
 _MAX_VALUES, _MAX_CONTAINERS, _MAX_TEXTS = 490_000, 59_000, 59_000
 _PARAMETERS: Final = {
@@ -101,7 +104,7 @@ def values(size: int) -> Iterator[tuple[str, bytes]]:
         for count in sorted({whole, parsed}):
             yield f"{count:,} x {kind}", start + unit * count + end
     names = (f'"{MARK}{number:x}":0' for number in itertools.count())
-    for count in sorted({min(_MAX_TEXTS, size // 16), size // 16}):
+    for count in sorted({min(_MAX_TEXTS, size // 20), size // 20}):
         yield f"{count:,} x fields", b"{" + ",".join(itertools.islice(names, count)).encode() + b"}"
 
 
@@ -128,8 +131,13 @@ def _json_bodies(document: dict[str, Any], path: str, media: dict[str, Any], siz
             body = _within(*_around(example, place), value)
             yield WorstRequest(path, where, "POST", _target(path), _JSON, body)
             if path.startswith("/v2"):
-                encoded = _JSON | {"Content-Encoding": "gzip"}
-                yield WorstRequest(path, f"{where}, gzip", "POST", _target(path), encoded, _zipped(body))
+                yield WorstRequest(path, f"{where}, gzip", "POST", _target(path), _GZIP, _zipped(body))
+    if path.startswith("/v2"):
+        for kind, unit in (("spaces", b" "), ("zeros", b"0,"), ("lists", b"[")):
+            bomb = _zipped(_of(unit, _BOMB * size))
+            yield WorstRequest(path, f"body: {_BOMB} times as many {kind}, gzip", "POST", _target(path), _GZIP, bomb)
+        twice = _zipped(_zipped(_of(b"0,", _BOMB * size)))
+        yield WorstRequest(path, "body: compressed twice, gzip", "POST", _target(path), _GZIP, twice)
 
 
 def _forms(document: dict[str, Any], path: str, media: dict[str, Any], size: int) -> Iterator[WorstRequest]:
