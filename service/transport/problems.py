@@ -39,6 +39,8 @@ def problem_response(scope: Scope, error: BaseException) -> Response:
         error = internal_error()
     elif error.status == HTTPStatus.INTERNAL_SERVER_ERROR:
         _log_cause(scope, error)
+    else:
+        _forget_frames(error)
     return render_error(scope, error)
 
 
