@@ -7,7 +7,7 @@ VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' service/__init__.py)
 lock = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--custom-compile-command 'make lock' $(2) --output-file deploy/locks/$(1).txt
 
-.PHONY: help serve data train test fuzz check format openapi lock image size sbom clean
+.PHONY: help serve data train test lowest fuzz check format openapi lock image size sbom clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -47,6 +47,11 @@ train: data ## fit MODEL, measure it, fit it again on all objects, publish its n
 # The tests of a module run in one process, for the fixtures that they share (tests/conftest.py).
 test: $(VENV)/dev ## run all tests, on all cores
 	$(BIN)/pytest --numprocesses auto --maxprocesses 8 --dist loadscope --no-loadscope-reorder
+
+lowest: $(VENV)/dev ## run all tests with the lowest versions that pyproject.toml allows, in build/lowest
+	$(BIN)/uv venv --quiet --clear build/lowest
+	$(BIN)/uv pip install --quiet --python build/lowest/bin/python --resolution lowest-direct --editable '.[training,dev]'
+	build/lowest/bin/pytest --numprocesses auto --maxprocesses 8 --dist loadscope --no-loadscope-reorder
 
 fuzz: $(VENV)/dev ## send 100,000 generated requests and count the answers by route and status: a minute or two
 	CAZSL_FUZZ_REQUESTS=100000 $(BIN)/pytest -s tests/test_fuzz.py

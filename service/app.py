@@ -140,12 +140,6 @@ def create_app(
     )
     admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
-    metrics = exposition(
-        app.requests, gauges(models, readiness, threads, admission, keys, supervisor, log.writer.dropped)
-    )
-    app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics, Scrapes(metrics))
-    _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
-    install_error_handlers(app)
     telemetry = RequestTelemetry(admission, problem_response, log, app.requests)
 
     def refuse(code: str) -> str:
@@ -153,12 +147,19 @@ def create_app(
         app.requests.refuse(code)
         return telemetry.new_id()
 
+    limits = _connection_limits(settings)
+    house = House(limits, admission.held, refuse)
+    metrics = exposition(
+        app.requests, gauges(models, readiness, threads, admission, house, keys, supervisor, log.writer.dropped)
+    )
+    app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics, Scrapes(metrics))
+    _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
+    install_error_handlers(app)
     traced = trace(telemetry)
     app.rings = PathPrefix(traced, settings.root_path) if settings.root_path else traced
     if traced is telemetry:  # a ring around all others must see every request
         app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
-    limits = _connection_limits(settings)
-    app.connections = connection_class(House(limits, admission.held, refuse), app.shortcut)
+    app.connections = connection_class(house, app.shortcut)
     scraped = Admission(app.parts.scrapes, _limits(settings), Callers(Keys(None)))
     app.metrics = RequestTelemetry(scraped, problem_response, log, app.requests)
     few = replace(limits, connections=_METRICS_CONNECTIONS)

@@ -42,7 +42,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.client": "service.errors service.model service.schemas",
         "service.cli": "service.errors service.settings service.files service.processors service.background "
         "service.observability service.model service.storage service.registry service.schemas service.inference "
-        "service.transport service.bulk service.api.v1 service.app",
+        "service.transport service.bulk service.api.v1 service.connections service.app",
         "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
         "training.simulation": "service.errors service.processors service.pushing training.omnipush",
         "training.networks": "service.model service.pushing training.omnipush",

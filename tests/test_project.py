@@ -2,10 +2,13 @@
 
 import json
 import re
+import tomllib
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import pytest
+from packaging.requirements import Requirement
 
 import service
 from service.inference.snapshot import DEFAULT_MODELS
@@ -78,12 +81,33 @@ def test_knowing_the_object_is_worth_a_factor_of_two(champions: dict[str, Manife
 
 
 @pytest.mark.parametrize(
-    "target", ["serve", "data", "train", "test", "check", "openapi", "lock", "image", "size", "sbom"]
+    "target", ["serve", "data", "train", "test", "lowest", "check", "openapi", "lock", "image", "size", "sbom"]
 )
 def test_every_documented_make_target_exists(project_root: Path, target: str) -> None:
     """A documented target is in the Makefile, with a line of help."""
     makefile = (project_root / "Makefile").read_text(encoding="utf-8")
     assert re.search(rf"^{target}:.*## ", makefile, re.MULTILINE)
+
+
+def test_libraries_with_private_parts_in_use_are_held_to_a_minor_version(project_root: Path) -> None:
+    """A minor version of them may change what is subclassed, so the tests and the image have the declared one.
+
+    These are the libraries that read HTTP: ``service/connections`` subclasses uvicorn's connection, which is private.
+    """
+    project = tomllib.loads((project_root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    declared = {wanted.name: wanted.specifier for wanted in map(Requirement, project["dependencies"])}
+    sources = "".join(path.read_text(encoding="utf-8") for path in (project_root / "service/connections").glob("*.py"))
+    private = {name for name in declared if re.search(rf"^(from|import) {name}\b", sources, re.MULTILINE)}
+    assert {"uvicorn", "httptools"} <= private
+    for name in private - {"starlette"}:
+        (only,) = declared[name]
+        assert only.operator == "==", name
+        assert re.fullmatch(r"\d+\.\d+\.\*", only.version), name
+        versions = {version(name)}
+        for lock in ("serving", "s3", "all"):
+            text = (project_root / "deploy" / "locks" / f"{lock}.txt").read_text(encoding="utf-8")
+            versions |= set(re.findall(rf"^{name}==(\S+)", text, re.MULTILINE))
+        assert all(found in declared[name] for found in versions), (name, versions)
 
 
 def test_the_index_of_results_has_every_table_with_its_claims(project_root: Path) -> None:

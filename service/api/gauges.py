@@ -27,6 +27,20 @@ class Traffic(Protocol):
         ...
 
 
+class Connected(Protocol):
+    """Counts of connections. ``connections.house.House`` keeps them."""
+
+    @property
+    def count(self) -> int:
+        """Return the number of open connections."""
+        ...
+
+    @property
+    def unsent_bytes(self) -> int:
+        """Return the bytes of answers that their clients have not taken."""
+        ...
+
+
 class Pool(Protocol):
     """Counts of a thread pool. ``transport.threads.ThreadPool`` keeps them."""
 
@@ -54,6 +68,7 @@ def gauges(
     readiness: Readiness,
     threads: Pool,
     admission: Traffic,
+    connected: Connected,
     keys: KeyCounts,
     supervisor: Supervisor,
     dropped_lines: Mapping[str, int],
@@ -62,6 +77,7 @@ def gauges(
     return Readings(
         (
             *_of_the_process(readiness, threads, admission),
+            *_of_connections(connected),
             *_of_models(models, readiness),
             *_of_registry(models),
             *_of_keys(keys),
@@ -102,6 +118,18 @@ def _of_the_process(readiness: Readiness, threads: Pool, admission: Traffic) -> 
             lambda: _one(threads.jobs),
         ),
         Reading("cazsl_worker_threads", "Threads for large batches and images.", (), lambda: _one(threads.threads)),
+    )
+
+
+def _of_connections(connected: Connected) -> tuple[Reading, ...]:
+    return (
+        Reading("cazsl_connections", "Open connections.", (), lambda: _one(connected.count)),
+        Reading(
+            "cazsl_unsent_bytes",
+            "Bytes of answers that their clients have not read.",
+            (),
+            lambda: _one(connected.unsent_bytes),
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from service.app import create_app
 from service.background.ending import Ending
 from service.cli.config import configured, settings_options
 from service.cli.terminal import FAILED, printable
+from service.connections.open_connections import raise_descriptors
 from service.errors import SettingsError
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor
@@ -54,6 +55,7 @@ def serve(**options: Any) -> None:
     registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
     models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
     trace, send_spans = _tracing(settings.otlp_endpoint)
+    raise_descriptors(settings.max_connections)
     app = create_app(settings, models, RequestLog(log), trace)
     _greet(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.

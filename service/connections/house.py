@@ -47,6 +47,16 @@ class House:
         self.unsent = UnsentAnswers(limits.write_s, limits.unsent_bytes)
         self.open = OpenConnections(limits.connections)
 
+    @property
+    def count(self) -> int:
+        """Return the number of open connections."""
+        return len(self.open)
+
+    @property
+    def unsent_bytes(self) -> int:
+        """Return the bytes of answers that their clients have not taken."""
+        return self.unsent.total
+
 
 class GatedFlow(FlowControl):
     """Flow control of uvicorn with a gate: while it is shut, no reader may resume reading."""

@@ -3,8 +3,14 @@
 A caller that holds all connections busy loses one to a caller that holds fewer, so that health checks get in.
 """
 
+import sys
 from collections import Counter
-from typing import Protocol
+from typing import Final, Protocol
+
+if sys.platform != "win32":
+    import resource
+
+OTHER_DESCRIPTORS: Final = 128  # for files, threads and the registry
 
 
 class Guest(Protocol):
@@ -37,11 +43,29 @@ class Guest(Protocol):
         ...
 
 
+def raise_descriptors(connections: int) -> None:
+    """Raise the limit of file descriptors of this process for a number of connections, as far as the system allows."""
+    if sys.platform != "win32":
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        wanted = connections + OTHER_DESCRIPTORS
+        if soft != resource.RLIM_INFINITY and soft < wanted:
+            most = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+
+
+def affordable(connections: int) -> int:
+    """Return the number of connections for which this process has file descriptors, up to the wanted number."""
+    if sys.platform == "win32":
+        return connections
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return connections if soft == resource.RLIM_INFINITY else min(connections, max(1, soft - OTHER_DESCRIPTORS))
+
+
 class OpenConnections:
-    """The open connections of a service."""
+    """The open connections of a service, as many as it may have and can afford."""
 
     def __init__(self, limit: int) -> None:
-        self._limit = limit
+        self._limit = affordable(limit)
         self._open: dict[Guest, None] = {}
 
     def __len__(self) -> int:

@@ -1,8 +1,10 @@
 """Connections are bounded in number, and the right one makes room."""
 
+import resource
+
 import pytest
 
-from service.connections.open_connections import OpenConnections
+from service.connections.open_connections import OTHER_DESCRIPTORS, OpenConnections, affordable, raise_descriptors
 
 
 class FakeGuest:
@@ -80,3 +82,18 @@ def test_a_lost_connection_leaves_room() -> None:
     assert len(found) == 0
     found.enter(FakeGuest("b"))
     assert len(found) == 1
+
+
+def test_no_more_connections_than_file_descriptors(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The limit of descriptors is raised as far as the system allows, and bounds the connections beyond that."""
+    limits = [200, 1000]
+    monkeypatch.setattr(resource, "getrlimit", lambda _: tuple(limits))
+    monkeypatch.setattr(resource, "setrlimit", lambda _, found: limits.__setitem__(slice(2), found))
+    assert affordable(50) == 50
+    assert affordable(500) == 200 - OTHER_DESCRIPTORS
+    raise_descriptors(500)
+    assert (limits, affordable(500)) == ([500 + OTHER_DESCRIPTORS, 1000], 500)
+    raise_descriptors(5000)
+    assert (limits, affordable(5000)) == ([1000, 1000], 1000 - OTHER_DESCRIPTORS)
+    raise_descriptors(5)
+    assert limits == [1000, 1000]
