@@ -110,8 +110,10 @@ class PushFile:
         if len(self.schema) > MAX_COLUMNS:
             raise DataError(f"{self.path}: received {len(self.schema)} columns; accepted are up to {MAX_COLUMNS}")
         for field in self.schema:
-            if pa.types.is_nested(field.type):
-                accepted = "a column of single values, because a row of lists has no bound"
+            is_extension = isinstance(field.type, pa.BaseExtensionType)
+            kind = field.type.storage_type if is_extension else field.type
+            if pa.types.is_nested(kind) or (is_extension and _has_length(kind)):
+                accepted = "a column of single values of a plain type, because rows of others have no bound"
                 raise DataError(f"{self.path}: column {field.name}: received {field.type}; accepted is {accepted}")
 
     def _rows_at_a_time(self) -> int:

@@ -121,8 +121,14 @@ def zigzag(value: int) -> bytes:
 
 @pytest.mark.parametrize(
     "column",
-    [pa.array([[0.5] * 9] * 4), pa.array([{"a": 1}] * 4), pa.array([[(1, 2)]] * 4, pa.map_(pa.int8(), pa.int8()))],
-    ids=["list", "struct", "map"],
+    [
+        pa.array([[0.5] * 9] * 4),
+        pa.array([{"a": 1}] * 4),
+        pa.array([[(1, 2)]] * 4, pa.map_(pa.int8(), pa.int8())),
+        pa.FixedShapeTensorArray.from_numpy_ndarray(np.zeros((4, 2, 2))),
+        pa.ExtensionArray.from_storage(pa.json_(), pa.array(["{}"] * 4)),
+    ],
+    ids=["list", "struct", "map", "tensor", "extension of text"],
 )
 def test_nested_columns_are_refused(tmp_path: Path, column: pa.Array) -> None:
     """A row of a nested column has no bound, so the column is refused by its name."""
