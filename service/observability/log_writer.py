@@ -17,7 +17,7 @@ from typing import Final, TextIO
 
 import orjson
 
-from service.background.supervision import ENDINGS, TaskHealth
+from service.background.supervision import TaskHealth
 
 QUEUE_BYTES: Final = 4 << 20  # about 15,000 lines of requests
 FLUSH_S: Final = 0.3
@@ -98,8 +98,8 @@ class LogWriter:
                 self._thread = None
 
     def _start(self) -> None:
-        """Start the thread if there is none. Without one the lines wait for the next call."""
-        if self._thread is not None:
+        """Start the thread if none runs. Without one the lines wait for the next call."""
+        if self._thread is not None and self._thread.is_alive():
             return
         thread = threading.Thread(target=self._work, name="log", daemon=True)
         try:
@@ -137,8 +137,6 @@ class LogWriter:
         text = b"".join((b"\n" if self._torn else b"", _report(missing) if missing else b"", lines.text))
         try:
             self._write_all(text)
-        except ENDINGS:
-            raise
         except BaseException as error:  # a stream may be anything, and the thread must not end
             self._missing = missing + lines.count
             self.drop(lines.count, FAILED)

@@ -18,6 +18,7 @@ from service.inference.readiness import Readiness
 from service.observability.logs import RequestLog
 from service.registry.registry import Registry
 from service.settings import Settings
+from service.transport.keys import Grant, Keys, Scope
 from tests.fakes import Panic, fake_models, load_fake, publish_fake
 
 
@@ -76,7 +77,7 @@ class FaultyStream(io.StringIO):
         return super().write(text)
 
 
-TASKS = ("poll", "probe", "log")
+TASKS = ("poll", "probe", "keys", "log")
 each_task = pytest.mark.parametrize("task", TASKS)
 
 
@@ -104,8 +105,13 @@ def faulty(
         works["probe"].do()
 
     monkeypatch.setattr(Readiness, "probe", probe)
-    app = create_app(Settings(poll_interval_s=0.02, probe_interval_s=0.02), models, RequestLog(stream))
-    with TestClient(app) as client:
+    grant, key = Grant.new("test", frozenset(Scope))
+    (tmp_path / "keys").write_text(f"{grant.line()}\n")
+    monkeypatch.setattr(Keys, "reread", lambda _: works["keys"].do())
+    monkeypatch.setattr("service.app.READ_INTERVAL_S", 0.02)
+    settings = Settings(poll_interval_s=0.02, probe_interval_s=0.02, keys=tmp_path / "keys")
+    app = create_app(settings, models, RequestLog(stream))
+    with TestClient(app, headers={"Authorization": f"Bearer {key}"}) as client:
         yield app, client
         for work in works.values():
             work.released.set()
@@ -131,6 +137,8 @@ def ask(client: TestClient) -> None:
 def test_every_background_task_is_supervised(faulty: tuple[Service, TestClient], project_root: Path) -> None:
     """The tasks below are all tasks of the application. No other module starts a task or a thread."""
     assert tuple(tasks(faulty[1])) == TASKS
+    documented = (project_root / "docs" / "operations.md").read_text(encoding="utf-8").partition("| task | work |")[2]
+    assert re.findall(r"^\| `(\w+)` \|", documented.partition("\n\n")[0], re.MULTILINE) == list(TASKS)
     starters = re.compile(
         r"\b(to_thread|run_in_executor|create_task|ensure_future|TaskGroup|ThreadPoolExecutor|Thread|Timer"
         r"|start_http_server|run_in_threadpool|run_sync)\("
