@@ -92,6 +92,8 @@ ALLOWED: dict[str, Form] = {
     "a list in two headers": with_headers(b"accept: application/json"),
     "the same unknown header twice": with_headers(b"x-thing: 1", b"x-thing: 2"),
     "another expectation": with_headers(b"expect: something-else"),
+    "a host with a port": replaced(b"host: test", b"host: [::1]:8000"),
+    "an empty host": replaced(b"host: test", b"host:"),
     "upper case": lambda line, headers, body: request(
         line, [b": ".join((one.split(b": ")[0].upper(), one.split(b": ")[1])) for one in headers], body
     ),
@@ -118,6 +120,8 @@ REFUSED: dict[str, tuple[Form, int]] = {
         lambda line, headers, body: request(line.replace(b" /", b" http://a/"), headers[:-3] + headers[-2:], body),
         400,
     ),
+    "a host that is none": (replaced(b"host: test", b"host: test/livez?"), 400),
+    "a host with a name of a user": (replaced(b"host: test", b"host: user@test"), 400),
     "two hosts": (with_headers(b"host: other"), 400),
     "the same host twice": (with_headers(b"host: test"), 400),
     "two types": (with_headers(b"content-type: text/plain"), 400),
@@ -283,6 +287,15 @@ def test_a_key_in_a_trailer_opens_no_door(loop: asyncio.Runner, models: LoadedMo
     assert is_closed
     (answer,), _ = exchange(loop, app, with_headers(b"authorization: Bearer %b" % key.encode())(line, headers, body))
     assert answer.startswith(b"HTTP/1.1 200 ")
+
+
+def test_a_refused_method_names_those_that_are_allowed(loop: asyncio.Runner, app: Service) -> None:
+    """A route of GET allows HEAD too."""
+    for path, allowed in (("/v1/models", b"GET, HEAD"), ("/v1/predict", b"POST")):
+        sent = f"DELETE {path} HTTP/1.1\r\nhost: a\r\n\r\n".encode()
+        (answer,), _ = exchange(loop, app, sent)
+        assert answer.startswith(b"HTTP/1.1 405 ")
+        assert b"\r\nallow: %b\r\n" % allowed in answer
 
 
 GETS = ("/livez", "/readyz", "/metrics", "/docs", "/openapi.json", "/v1/models", "/v2", "/v2/health/ready", "/nothing")

@@ -41,4 +41,7 @@ async def _on_http(request: Request, raised: Exception) -> Response:
     phrase = HTTPStatus(error.status_code).phrase
     code, title = _HTTP_CODES.get(error.status_code, (phrase.lower().replace(" ", "_"), phrase))
     detail = "see /docs for the routes and their methods"
-    return render_problem(request.scope, error.status_code, code, title, detail, headers=error.headers)
+    headers = dict(error.headers or {})
+    if headers.get("Allow") == "GET":
+        headers["Allow"] = "GET, HEAD"  # ``Service.framework`` answers it
+    return render_problem(request.scope, error.status_code, code, title, detail, headers=headers or None)

@@ -69,7 +69,7 @@ class BoundedConnection(GuestConnection):
     def on_header(self, name: bytes, value: bytes) -> None:
         """Keep a header. What follows the body is a trailer, and never a header."""
         if not self._is_in_body:
-            self.headers.append((name.lower(), value))
+            self.headers.append((name.lower(), value.rstrip(b" \t")))  # llhttp leaves spaces at the end
 
     def on_headers_complete(self) -> None:
         """Begin a request: its head is complete. One that offers an upgrade is read again without the offer."""
@@ -237,7 +237,7 @@ class BoundedConnection(GuestConnection):
             default_headers=self.server_state.default_headers,
             message_event=asyncio.Event(),
             expect_100_continue=is_current and self._has_body() and expects_100(self.headers),
-            keep_alive=is_current and self.parser.should_keep_alive() and not self._is_half_closed,
+            keep_alive=is_current and self.parser.should_keep_alive(),
             on_response=self.on_response_complete,
         )
         self._start_asgi_task(self.cycle, self.app)

@@ -139,9 +139,10 @@ class GuestConnection(HttpToolsProtocol):
             return
         request_id = self.house.refuse(code)
         body = problem_body(status, code, status.phrase, detail, request_id=request_id)
+        retry = "retry-after: 1\r\n" if status == HTTPStatus.SERVICE_UNAVAILABLE else ""
         head = (
             f"HTTP/1.1 {status.value} {status.phrase}\r\ncontent-type: {MEDIA_TYPE}\r\ncontent-length: {len(body)}\r\n"
-            f"x-request-id: {request_id}\r\nconnection: close\r\n\r\n"
+            f"{retry}x-request-id: {request_id}\r\nconnection: close\r\n\r\n"
         )
         self._writes.write_whole(head.encode("ascii") + body)
         self._finish(linger=linger)

@@ -22,6 +22,7 @@ from service.observability.telemetry import RequestTelemetry, id_header
 from service.transport.admission import Admission
 from service.transport.callers import caller_of
 from service.transport.endpoints import LIGHT_BYTES, NO_PARAMETERS, Endpoint, Endpoints, Headers, HttpRequest
+from service.transport.heads import is_host
 from service.transport.problems import problem_response
 
 Reply = Callable[[int, Headers, bytes], None]
@@ -185,7 +186,7 @@ def _is_plain(headers: Headers) -> bool:
         len(fields) == len(headers)
         and fields.get(b"content-type") == b"application/json"
         and fields.get(b"accept", b"*/*") in _PLAIN_ACCEPT
-        and b"host" in fields
+        and is_host(fields.get(b"host", b"/"))
         and b"content-encoding" not in fields
         and b"expect" not in fields
     )

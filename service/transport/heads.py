@@ -1,5 +1,6 @@
 """Heads of requests, by RFC 9110 and 9112: fields that may come once only, and lists that may come in parts."""
 
+import re
 from typing import Final
 
 from starlette.types import Scope
@@ -10,6 +11,7 @@ from service.transport.endpoints import Headers, header
 _ONCE: Final = frozenset(
     (b"host", b"authorization", b"content-type", b"content-length", b"inference-header-content-length")
 )
+_HOST: Final = re.compile(rb"(?:[A-Za-z0-9._~!$&'()*+,;=%-]*|\[[0-9A-Za-z:.%~_-]+\])(?::[0-9]*)?")
 _LINE_BYTES: Final = 4  # a colon, a space and the end of the line
 
 
@@ -23,9 +25,19 @@ def checked_headers(scope: Scope) -> Headers:
     fields = dict(headers)
     if len(fields) != len(headers):
         headers = _joined(headers)
-    if scope.get("http_version") == "1.1" and b"host" not in fields:
+    if b"host" in fields:
+        if not is_host(fields[b"host"]):
+            raise MalformedRequestError(
+                "header Host: received one that is none; accepted is a name, with or without port"
+            )
+    elif scope.get("http_version") == "1.1":
         raise MalformedRequestError("header Host: received none; accepted is the name of the service")
     return headers
+
+
+def is_host(value: bytes) -> bool:
+    """Return True if a value can be that of Host: a name or an address, with or without a port, or nothing."""
+    return _HOST.fullmatch(value) is not None
 
 
 def _joined(headers: Headers) -> Headers:

@@ -3,12 +3,14 @@
 import asyncio
 import json
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from service.observability.records import RequestRecord
-from service.transport.admission import Admission, AdmissionLimits
+from service.transport.admission import HEALTH, Admission, AdmissionLimits
 from service.transport.callers import Callers
 from service.transport.keys import Keys
 
@@ -47,6 +49,7 @@ async def send_messages(
     messages: list[Message],
     headers: list[tuple[bytes, bytes]] | None = None,
     client: str = "10.0.0.1",
+    path: str = "/v1/predict",
 ) -> tuple[int, dict[bytes, bytes], Any]:
     """Send these messages, and no more. Return status, headers and document of the answer, or status 0 without one."""
     sent: list[Message] = []
@@ -63,7 +66,7 @@ async def send_messages(
         """Keep a message to the client."""
         sent.append(message)
 
-    scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": headers or [], "client": (client, 1)}
+    scope = {"type": "http", "method": "POST", "path": path, "headers": headers or [], "client": (client, 1)}
     await admission({**scope, "state": {"record": RequestRecord("one", "POST")}}, receive, send)
     if not sent:
         return 0, {}, None
@@ -215,5 +218,83 @@ def test_a_failed_request_is_no_longer_counted() -> None:
             except RuntimeError:
                 continue
             raise AssertionError("it was answered")
+
+    run(scenario)
+
+
+def test_a_request_is_in_flight_until_its_answer_begins_to_leave() -> None:
+    """A client that does not read its answer keeps no other one from being served."""
+
+    async def scenario() -> None:
+        """Answer two requests whose clients do not read, with a limit of one request in flight."""
+        admission = Admission(SlowApp(), limits(in_flight=1), ANYONE)
+        heads: list[Message] = []
+
+        async def deaf(message: Message) -> None:
+            """Take the head of the answer, and no more."""
+            heads.append(message)
+            await asyncio.Event().wait()
+
+        async def receive() -> Message:
+            """Return an empty body."""
+            return LAST
+
+        scope = {"type": "http", "method": "POST", "path": "/v1/predict", "headers": [], "client": ("10.0.0.1", 1)}
+        for _ in range(2):
+            state = {"record": RequestRecord("one", "POST")}
+            asyncio.get_running_loop().create_task(admission({**scope, "state": state}, receive, deaf))
+            await asyncio.sleep(0.01)
+            assert admission.in_flight == 0
+        assert [message["status"] for message in heads] == [200, 200]
+
+    run(scenario)
+
+
+def test_one_caller_holds_no_more_than_its_share() -> None:
+    """Bodies of one caller get a 503 at three quarters of the bytes, while another caller is served."""
+
+    async def scenario() -> None:
+        """Hold 700 of 1000 bytes for one caller."""
+        app = SlowApp()
+        admission = Admission(app, limits(held_bytes=1000, in_flight=9), ANYONE)
+        app.release.clear()
+        running = [asyncio.ensure_future(send_messages(admission, [PART] * 7 + [LAST]))]
+        await asyncio.sleep(0.01)
+        assert (await send_messages(admission, [PART, LAST]))[0] == 503
+        running.append(asyncio.ensure_future(send_messages(admission, [PART, LAST], client="10.0.0.2")))
+        await asyncio.sleep(0.01)
+        app.release.set()
+        assert [(await one)[0] for one in running] == [200, 200]
+        assert admission.held_bytes == 0
+
+    run(scenario)
+
+
+def test_the_key_is_checked_before_the_body(tmp_path: Path) -> None:
+    """A request without a key is refused by its head: no byte of its body is asked for."""
+
+    async def scenario() -> None:
+        """Send a head whose body never comes."""
+        (tmp_path / "keys").write_text("")
+        app = SlowApp()
+        admission = Admission(app, limits(), Callers(Keys(tmp_path / "keys")))
+        status, headers, document = await send_messages(admission, [], [(b"content-length", b"900")])
+        assert (status, document["code"], headers[b"www-authenticate"]) == (401, "missing_key", b"Bearer")
+        assert not app.bodies
+
+    run(scenario)
+
+
+@pytest.mark.parametrize("path", sorted(HEALTH))
+def test_health_has_a_quota_of_its_own(path: str) -> None:
+    """A route of health answers while requests and bytes are at their limits, and takes no large body."""
+
+    async def scenario() -> None:
+        """Ask for health without room for any request."""
+        admission = Admission(SlowApp(), limits(in_flight=0, held_bytes=0), ANYONE)
+        assert (await send_messages(admission, [LAST]))[0] == 503
+        assert (await send_messages(admission, [LAST], path=path))[0] == 200
+        assert (await send_messages(admission, [{**PART, "body": bytes(5000)}], path=path))[0] == 413
+        assert (admission.in_flight, admission.held_bytes) == (0, 0)
 
     run(scenario)

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from service.errors import MalformedRequestError
-from service.transport.heads import checked_headers, declared_length, head_bytes
+from service.transport.heads import checked_headers, declared_length, head_bytes, is_host
 
 HOST = (b"host", b"a")
 
@@ -49,3 +49,29 @@ def test_a_declared_length_is_a_number(value: bytes | None, length: int) -> None
 def test_a_head_has_about_the_bytes_of_its_parts() -> None:
     """Path, names, values and what is between them."""
     assert head_bytes(scope((b"host", b"abc"))) == len("/livez") + len("host: abc\r\n")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (b"localhost", True),
+        (b"localhost:8000", True),
+        (b"10.0.0.1:", True),
+        (b"[::1]:8000", True),
+        (b"my_service.default.svc", True),
+        (b"", True),
+        (b"a/b", False),
+        (b"a b", False),
+        (b"a:b", False),
+        (b"user@a", False),
+        (b"http://a", False),
+        (b"::1", False),
+        ("ü".encode(), False),
+    ],
+)
+def test_a_host_is_a_name_or_an_address(value: bytes, expected: bool) -> None:
+    """Another value is refused: a proxy may have chosen the service by it."""
+    assert is_host(value) is expected
+    if not expected:
+        with pytest.raises(MalformedRequestError):
+            checked_headers(scope((b"host", value)))
