@@ -14,6 +14,7 @@ from pydantic_settings import BaseSettings, SettingsConfigDict
 PREFIX: Final = "CAZSL_"
 # Controls, separators of lines, and halves of characters, from bytes that are not UTF-8.
 NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+_LONGEST_TEXT: Final = 4096  # as long as a path may be
 _PREFIX_PATH: Final = re.compile(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)+")
 _ROUTES: Final = ("v1", "v2", "docs", "livez", "readyz", "metrics", "openapi.json")
 
@@ -202,6 +203,8 @@ class Settings(BaseSettings):
             return value
         if NOT_TEXT.search(value.strip()):
             raise ValueError("Input should be text in UTF-8 without line feeds and control characters")
+        if len(value.strip()) > _LONGEST_TEXT:
+            raise ValueError(f"Input should be text of at most {_LONGEST_TEXT} characters")
         return value.strip()
 
     @field_validator("root_path")

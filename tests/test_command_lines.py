@@ -246,6 +246,38 @@ def test_an_odd_value_of_a_variable_ends_in_one_line_with_its_name(name: str) ->
         assert len(result.stderr) < 2500
 
 
+ODD_ENTRIES: Final = (
+    *(
+        '""',
+        '" "',
+        '"a\\u001bb"',
+        "[]",
+        "{}",
+        "{a = 1}",
+        "inf",
+        "nan",
+        "-inf",
+        "1e400",
+        "1" * 5000,
+        "true",
+        "2026-01-01",
+    ),
+    *("07:00:00", '"\\u202e"', f'"{"x" * 100_000}"', "0x10", "-0.0", "[[[", "1 2", "", "\x00", "\u2028"),
+)
+
+
+@pytest.mark.parametrize("name", Settings.model_fields)
+def test_an_odd_entry_of_the_file_ends_in_one_line_with_its_name(name: str, tmp_path: Path) -> None:
+    """Every setting is tried with every odd entry of TOML, as every variable is."""
+    path = tmp_path / "cazsl.toml"
+    for entry in ODD_ENTRIES:
+        path.write_text(f"{name} = {entry}\n", encoding="utf-8")
+        result = CliRunner().invoke(PROGRAMS["cazsl"], ["config", "--config", str(path)])
+        check(result)
+        assert result.exit_code == 0 or str(path) in result.stderr
+        assert len(result.output) < 100_000
+
+
 @pytest.mark.parametrize("name", Settings.model_fields)
 @pytest.mark.parametrize("empty", ["", " ", "\n", "\t \r\n"])
 def test_a_variable_without_text_is_not_set(name: str, empty: str) -> None:

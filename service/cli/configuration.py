@@ -108,7 +108,7 @@ def _read(path: Path) -> dict[str, Any]:
         raise SettingsError(f"{path}: there is no such file. Give a TOML file of settings.") from error
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read as TOML: {error.strerror}.") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # not TOML, or a number of thousands of digits
         raise SettingsError(f"{path}: cannot be read as TOML: {error}.") from error
     except RecursionError as error:
         raise SettingsError(f"{path}: is nested too deep. A file of settings has names and values only.") from error

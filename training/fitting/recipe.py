@@ -95,7 +95,7 @@ def parse_recipe(text: str, where: str) -> Recipe:
     """
     try:
         values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # not TOML, or a number of thousands of digits
         raise DataError(f"{where}: not TOML: {error}") from error
     except RecursionError as error:
         raise DataError(f"{where}: nested too deep; a recipe has names and values only") from error
