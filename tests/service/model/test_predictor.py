@@ -142,7 +142,7 @@ def test_an_output_that_is_no_gaussian_is_a_prediction_error(predictor: Predicto
 def slow_graph(steps: int) -> bytes:
     """Build a graph without context that multiplies by a matrix this many times."""
     width = 512
-    numbers = np.random.default_rng(3).uniform(-0.05, 0.05, (width, width)).astype(np.float32)
+    numbers = np.random.default_rng(3).uniform(-0.0765, 0.0765, (width, width)).astype(np.float32)
     constants = {"in": numbers[:3], "step": numbers, "out": numbers[:, :3], "one": np.ones(1, dtype=np.float32)}
     nodes = [helper.make_node("MatMul", ["pusher", "in"], ["0"])]
     nodes += [helper.make_node("MatMul", [str(step), "step"], [str(step + 1)]) for step in range(steps)]
