@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # names that only the library's stubs have
 
 __all__ = ["FAILURES", "AlreadyExistsError", "Bucket", "StoreFailure", "reason"]
 PATIENCE: Final = timedelta(seconds=10)
-_BUCKET: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{1,254}")
+_BUCKET: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,254}")
 _PANICS: Final = "pyo3_runtime"  # the module of the library's panics, which derive from BaseException
 
 
