@@ -134,6 +134,10 @@ REFUSED: dict[str, tuple[Form, int]] = {
     ),
     "a length and chunks": (with_headers(b"transfer-encoding: chunked"), 400),
     "another coding": (replaced(b"content-length: ", b"transfer-encoding: gzip\r\nx-l: "), 400),
+    "two codings in two headers": (
+        replaced(b"content-length: ", b"transfer-encoding: gzip\r\ntransfer-encoding: chunked\r\nx-l: "),
+        400,
+    ),
     "two codings": (replaced(b"content-length: ", b"transfer-encoding: gzip, chunked\r\nx-l: "), 400),
     "chunks of an older version": (
         lambda line, headers, body: chunked()(line.replace(b"1.1", b"1.0"), headers, body),

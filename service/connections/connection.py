@@ -79,13 +79,9 @@ class BoundedConnection(GuestConnection):
         self._is_in_body = True
         version = self.parser.get_http_version()
         self.scope["http_version"] = version
-        coding = length = None
-        for name, value in self.headers:
-            if name == b"content-length":
-                length = value
-            elif name == b"transfer-encoding":
-                coding = value
-        self._body_left = int(length) if length else 0
+        fields = self._fields = dict(self.headers)
+        coding = fields.get(b"transfer-encoding")
+        self._body_left = int(fields.get(b"content-length") or b"0")
         self._chunks = None
         if version not in ("1.1", "1.0"):
             self._refuse(
@@ -94,7 +90,8 @@ class BoundedConnection(GuestConnection):
                 "received another version of HTTP; accepted is HTTP/1.1",
             )
         elif coding is not None:
-            if coding.strip().lower() != b"chunked" or version == "1.0":
+            is_alone = sum(name == b"transfer-encoding" for name, _ in self.headers) == 1
+            if not is_alone or coding.strip().lower() != b"chunked" or version == "1.0":
                 self._refuse_malformed("header Transfer-Encoding: received another coding; accepted is chunked")
             else:
                 self._chunks = ChunkedBody()
@@ -127,12 +124,12 @@ class BoundedConnection(GuestConnection):
         """Go on with the next request, in another iteration: a client that sends many must not hold the event loop."""
         self.server_state.total_requests += 1
         self._is_begun = self._is_in_body = self._is_busy = False
-        if self._is_ended or self.transport.is_closing():
+        if self._is_ended or self._bare.is_closing():
             return
         self._clock.rest()
         if self._rest or self._is_half_closed:
             self.loop.call_soon(self._go_on)
-        else:
+        elif self.flow.read_paused:
             self.flow.resume_reading()
 
     def send_400_response(self, msg: str) -> None:

@@ -31,6 +31,7 @@ class GuestConnection(HttpToolsProtocol):
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Open the connection, and start its clock."""
+        self._bare = transport
         self._writes = PairedWrites(transport, self.loop, self._finish)
         transport.set_write_buffer_limits(high=0)  # to write pauses as soon as bytes stay behind
         behind = transport.get_extra_info("socket")
@@ -44,6 +45,7 @@ class GuestConnection(HttpToolsProtocol):
         self._is_begun = self._is_in_body = self._is_busy = self._is_ended = self._is_half_closed = False
         self._before = b""  # last bytes of an incomplete head
         self._rest = b""  # bytes behind the request that is being answered
+        self._fields: dict[bytes, bytes] = {}  # headers by name, the last of each
         self._body_left = 0
         self._chunks: ChunkedBody | None = None
         self._held_bytes = 0

@@ -80,7 +80,7 @@ class ShortcutConnection(BoundedConnection):
         ):
             return None
         self.scope["method"] = "POST"
-        return self.shortcut.open(self.url, cast(Scope, self.scope), self._body_left)
+        return self.shortcut.open(self.url, cast(Scope, self.scope), self._fields, self._body_left)
 
     def _partial_bytes(self) -> int:
         """Count the whole body of an incomplete request, and give it the time of a body."""
@@ -101,7 +101,7 @@ class ShortcutConnection(BoundedConnection):
 
     def _reply(self, status: int, headers: Headers, content: bytes) -> None:
         """Write the answer of the shortcut, as uvicorn writes others."""
-        if not (self._is_ended or self.transport.is_closing()):
+        if not (self._is_ended or self._bare.is_closing()):
             lines = b"\r\n".join([b": ".join(header) for header in (*self.server_state.default_headers, *headers)])
             self._writes.write_whole(b"".join((STATUS_LINE[status], lines, b"\r\n\r\n", content)))
             if not self._is_busy:  # its body has not come

@@ -229,24 +229,20 @@ class Admission:
             finally:
                 admitted.end()
 
-    def admit(self, scope: Scope) -> str:
-        """Admit a request that is answered at once, so that it never counts as in flight. Return its caller.
+    def known_caller(self, scope: Scope) -> str | None:
+        """Return the caller of this head, or None if its key does not admit it. Then this ring refuses the request."""
+        try:
+            return self._callers.admit(scope)
+        except CazslError:
+            return None
+
+    def check(self, caller: str) -> None:
+        """Admit a request that is answered at once, so that it never counts as in flight.
 
         Raises:
-            MissingKeyError, ForbiddenError: its key does not admit it.
             OverloadedError, TooManyRequestsError: there are too many others.
         """
-        caller = self._callers.admit(scope)
         self._in_flight.check(caller)
-        return caller
-
-    def knows(self, scope: Scope) -> bool:
-        """Return True if the caller of this head may ask. Otherwise this ring refuses the request."""
-        try:
-            self._callers.admit(scope)
-        except CazslError:
-            return False
-        return True
 
     async def _read(self, scope: Scope, receive: Receive, hold: Hold, limit_bytes: int) -> bytes | None:
         """Return the complete body, which is held with its head, or None if the client left.

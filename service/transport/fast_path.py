@@ -6,7 +6,7 @@ the same ``Endpoints``, so their answers are the same to the byte.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -72,6 +72,7 @@ class ShortcutRequest:
     """A request that the shortcut may answer once its body is complete."""
 
     scope: Scope
+    caller: str
     began_s: float
     body: bytes = b""
 
@@ -94,18 +95,25 @@ class Shortcut:
         self._admission = admission
         self._telemetry = telemetry
 
-    def open(self, target: bytes, scope: Scope, length: int) -> ShortcutRequest | None:
+    def open(self, target: bytes, scope: Scope, fields: Mapping[bytes, bytes], length: int) -> ShortcutRequest | None:
         """Return the request of the head of a POST to this target, or None if the head is unusual.
 
         Args:
             target: target of the request.
             scope: its scope.
+            fields: its headers by name, the last of each.
             length: length of its body in bytes.
         """
-        if target != self._target or not 0 < length <= self._longest or not _is_plain(scope["headers"]):
+        if (
+            target != self._target
+            or not 0 < length <= self._longest
+            or len(fields) != len(scope["headers"])
+            or not _is_plain(fields)
+        ):
             return None
         scope["path"] = self._endpoint.path  # uvicorn sets it only for requests that it passes to the application
-        return ShortcutRequest(scope, time.perf_counter()) if self._admission.knows(scope) else None
+        caller = self._admission.known_caller(scope)
+        return None if caller is None else ShortcutRequest(scope, caller, time.perf_counter())
 
     def answer(self, request: ShortcutRequest, reply: Reply, leave: Leave) -> None:
         """Answer a complete request at the end of this iteration, or pass it to the framework now by calling ``leave``.
@@ -119,7 +127,7 @@ class Shortcut:
             return
         record = self._telemetry.begin(request.scope)
         try:
-            query = self._query(request.scope, record, content)
+            query = self._query(request, record)
         except ENDINGS:
             raise
         except BaseException as error:
@@ -136,9 +144,10 @@ class Shortcut:
         record.route = self._endpoint.path
         self._refuse(request, record, reply, SlowBodyError(self._admission.body_s))
 
-    def _query(self, scope: Scope, record: RequestRecord, content: bytes) -> Query | None:
+    def _query(self, request: ShortcutRequest, record: RequestRecord) -> Query | None:
         record.route = self._endpoint.path
-        asked = HttpRequest(scope["headers"], content, NO_PARAMETERS, self._admission.admit(scope))
+        self._admission.check(request.caller)
+        asked = HttpRequest(request.scope["headers"], request.body, NO_PARAMETERS, request.caller)
         return self._endpoints.query_single(self._endpoint, asked)
 
     def _settle(
@@ -179,14 +188,12 @@ class Shortcut:
         self._telemetry.end(record, time.perf_counter() - request.began_s)
 
 
-def _is_plain(headers: Headers) -> bool:
-    """Return True if the headers declare a JSON body, come once each, and are otherwise usual."""
-    fields = dict(headers)
+def _is_plain(fields: Mapping[bytes, bytes]) -> bool:
+    """Return True if headers that come once each declare a JSON body and are otherwise usual."""
     return (
-        len(fields) == len(headers)
-        and fields.get(b"content-type") == b"application/json"
+        fields.get(b"content-type") == b"application/json"
         and fields.get(b"accept", b"*/*") in _PLAIN_ACCEPT
-        and is_host(fields.get(b"host", b"/"))
         and b"content-encoding" not in fields
         and b"expect" not in fields
+        and is_host(fields.get(b"host", b"/"))
     )

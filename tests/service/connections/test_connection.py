@@ -211,7 +211,7 @@ def connect_to(app: Service) -> FakeConnection:
 class Buggy(Admission):
     """An admission with a bug."""
 
-    def admit(self, scope: Any) -> str:
+    def check(self, caller: str) -> None:
         """Raise an exception that is not of our tree."""
         raise ZeroDivisionError("the fake has a bug")
 
