@@ -32,7 +32,7 @@ _PNG_MISSED_COLOURS = frozenset((b"\2\0", b"\4\0", b"\20\2"))  # bits and type w
 _PNG_PIXEL_BYTES, _WEBP_PIXEL_BYTES = 4, 16  # WebP: two canvases of an animation, the frame, and Pillow's picture
 _WEBP_LOSSLESS = frozenset((b"VP8L", b"ALPH", b"ANMF"))  # chunks that hold lossless data, or may
 _JPEG_SCAN, _JPEG_END, _JPEG_EXIF = 0xDA, 0xD9, 0xE1
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_JPEG_FRAMES = frozenset((*range(0xC0, 0xD0), 0xDE)) - {0xC4, 0xC8, 0xCC}
 _JPEG_PROGRESSIVE = frozenset((0xC2, 0xC6, 0xCA, 0xCE))
 _JPEG_LENGTHS = frozenset((*range(0xC0, 0xD0), *range(0xDA, 0xF0), 0xFE)) - {0xC8}  # markers with a length behind them
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]", re.DOTALL)  # other than stuffing, fill bytes and restarts
@@ -189,11 +189,15 @@ def _png_size(content: bytes) -> ImageFile:
 
 def _walk_jpeg(content: bytes, where: str) -> ImageFile:
     """Count scans and parts, and estimate the memory of libjpeg: with several scans it keeps all coefficients."""
-    frame, progressive, scans, exif_parts = b"", False, 0, 0
+    frame, several_scans, scans, exif_parts = b"", False, 0, 0
     for marker, segment in _jpeg_segments(content, where):
-        if marker in _JPEG_FRAMES:
-            frame, progressive = frame or segment, progressive or marker in _JPEG_PROGRESSIVE
-        scans += marker == _JPEG_SCAN
+        if marker in _JPEG_FRAMES and not scans:
+            if frame or len(segment) < 6 or len(segment) != 6 + 3 * segment[5]:
+                raise _broken("JPEG", where)  # by libjpeg too, but Pillow would list all channels of all frames before
+            frame, several_scans = segment, marker in _JPEG_PROGRESSIVE
+        if marker == _JPEG_SCAN:
+            scans += 1
+            several_scans |= scans > 1 or segment[:1] < frame[5:6]  # a first scan of some channels announces others
         exif_parts += marker == _JPEG_EXIF and segment.startswith(b"Exif\0\0")
         if scans > MAX_JPEG_SCANS:
             received, accepted = f"a JPEG of more than {MAX_JPEG_SCANS} scans", "fewer scans: save it again"
@@ -203,14 +207,15 @@ def _walk_jpeg(content: bytes, where: str) -> ImageFile:
             raise InvalidImageError.at(where, received, "fewer: save it again without metadata")
     height, width = struct.unpack_from(">HH", frame, 1)
     factors = [(part >> 4) * (part & 15) for part in frame[7::3]]  # of sampling, for each channel
-    kept = 2 * sum(factors) / max([1, *factors]) if progressive or scans > 1 else 0.0
+    kept = 2 * sum(factors) / max([1, *factors]) if several_scans else 0.0
     return ImageFile("JPEG", width, height, (4 if len(factors) > 1 else 1) + kept)
 
 
 def _jpeg_segments(content: bytes, where: str) -> Iterator[tuple[int, bytes]]:
     """Yield marker and data of every segment up to the end of the picture, as libjpeg finds them (T.81, annex B).
 
-    Bytes that belong to no segment are skipped, and so is the coded data behind the start of a scan.
+    Bytes that belong to no segment are skipped, and so is the coded data behind the start of a scan. An end in front of
+    the first scan is that of a stream of tables alone, behind which the picture follows.
 
     Raises:
         InvalidImageError: there are too many segments, or bytes between them.
@@ -222,7 +227,7 @@ def _jpeg_segments(content: bytes, where: str) -> Iterator[tuple[int, bytes]]:
         if stray > MAX_STRAY_BYTES:
             received = f"a JPEG with {stray} bytes between its parts"
             raise InvalidImageError.at(where, received, f"up to {MAX_STRAY_BYTES}: save it again")
-        if found + 4 > len(content) or content[found + 1] == _JPEG_END:
+        if found + 4 > len(content) or (in_scan and content[found + 1] == _JPEG_END):
             return
         marker, at = content[found + 1], found + 2
         if marker in _JPEG_LENGTHS:

@@ -16,6 +16,7 @@ TOO_LARGE, UNSUPPORTED, INVALID = (
     HTTPStatus.UNPROCESSABLE_ENTITY,
 )
 PNG_START: Final = b"\x89PNG\r\n\x1a\n"
+FRAME_OF_MANY: Final = b"\x08\0\x40\0\x40\1" + b"\1\x11\0" * 21_000  # a JPEG's frame. Pillow lists its channels.
 NOISE: Final = np.random.default_rng(0).integers(0, 5, 64 * 65, dtype=np.uint8).tobytes()  # 64 rows with filters 0 to 4
 
 
@@ -80,6 +81,13 @@ def jpeg_with(marker: int, data: bytes) -> bytes:
     """Build a small JPEG with one more segment after its start."""
     content = picture("JPEG")
     return content[:2] + struct.pack(">BBH", 0xFF, marker, len(data) + 2) + data + content[2:]
+
+
+def jpeg_behind_an_end(data: bytes) -> bytes:
+    """Build a small JPEG with bytes between an end behind its frame and its tables. Pillow's parser goes on there."""
+    content = picture("JPEG")
+    at = content.index(b"\xff\xc4")
+    return content[:at] + b"\xff\xd9" + data + content[at:]
 
 
 def jpeg_scans() -> bytes:
@@ -209,6 +217,21 @@ HOSTILE: Final[dict[str, tuple[Callable[[], bytes], HTTPStatus]]] = {
     ),
     "a JPEG with a mebibyte of junk": (
         lambda: jpeg_with(0xFE, b"").replace(b"\xff\xfe\0\2", b"\xff\xfe\0\2" + bytes(1 << 20)),
+        INVALID,
+    ),
+    "a JPEG of a million segments behind an end before its scan": (
+        lambda: jpeg_behind_an_end(b"\xff\xe3\0\2" * 1_000_000),
+        INVALID,
+    ),
+    "a JPEG of 100,000 parts of EXIF behind an end before its scan": (
+        lambda: jpeg_behind_an_end(b"\xff\xe1\0\x08Exif\0\0" * 100_000),
+        INVALID,
+    ),
+    "a JPEG of a frame of 21,000 channels": (lambda: jpeg_with(0xC0, FRAME_OF_MANY), INVALID),
+    "a JPEG of a hierarchy of 100 frames": (
+        lambda: jpeg_with(0xFE, b"").replace(
+            b"\xff\xfe\0\2", (b"\xff\xde" + struct.pack(">H", 2 + len(FRAME_OF_MANY)) + FRAME_OF_MANY) * 100
+        ),
         INVALID,
     ),
     "a PNG with an XMP of 5 MiB": (lambda: png_with(b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + bytes(5 << 20)), INVALID),

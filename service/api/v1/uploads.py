@@ -26,6 +26,7 @@ _FIELDS: Final = _JSON_FIELDS | {"model"}
 _CHARSET_FIELD: Final = "_charset_"  # RFC 7578, section 4.6: browsers name the charset of all texts in it
 _PARTS: Final = _FIELDS | {"image", _CHARSET_FIELD}
 _CHARSETS: Final = frozenset(("", "utf-8", "utf8", "us-ascii", "ascii"))
+_ASCII_WITHIN: Final = frozenset(("iso-8859-1", "latin1", "windows-1252"))  # declared by default, as Java's clients do
 _PLAIN_ENCODINGS: Final = frozenset(("", "7bit", "8bit", "binary"))
 _PIECE_BYTES: Final = 1 << 16
 
@@ -75,7 +76,7 @@ class _Form:
         self._delimiter = b"--" + boundary
         self._parts: dict[str, bytes] = {}
         self._part: list[bytes] = []
-        self._name = ""
+        self._name, self._charset = "", ""
         self._headers: dict[str, str] = {}
         self._header = [b"", b""]
         self._ended, self._progress = False, 0
@@ -164,8 +165,8 @@ class _Form:
         if self._headers.get("content-transfer-encoding", "").strip().lower() not in _PLAIN_ENCODINGS:
             received, accepted = "an encoded part", "the bytes as they are, without Content-Transfer-Encoding"
             raise InvalidRequestError.at(f"body.{name}", received, accepted)
-        charset = _options(self._headers.get("content-type", ""))[1].get("charset", "")
-        if name != "image" and charset.lower() not in _CHARSETS:
+        self._charset = _options(self._headers.get("content-type", ""))[1].get("charset", "").lower()
+        if name != "image" and self._charset not in _CHARSETS | _ASCII_WITHIN:
             raise _other_charset(name)
         self._progress += 1
 
@@ -174,8 +175,10 @@ class _Form:
         self._progress += 1
 
     def _end_part(self) -> None:
-        self._parts[self._name] = b"".join(self._part)
+        self._parts[self._name] = data = b"".join(self._part)
         self._part = []
+        if self._name != "image" and self._charset in _ASCII_WITHIN and not data.isascii():
+            raise _other_charset(self._name)
 
     def _end(self) -> None:
         self._ended = True

@@ -249,6 +249,15 @@ PLAIN: Final[dict[str, Build]] = {
     "JPEG, a marker of lossless coding": lambda: _baseline(0xC3),
     "JPEG, a marker of extended coding": lambda: _baseline(0xC1),
     "JPEG, two starts": lambda: b"\xff\xd8" + saved(scene(), "JPEG"),
+    "JPEG, tables in a stream of their own": lambda: _tables() + b"\xff\xd9" + saved(scene(), "JPEG"),
+    "JPEG, an end before its tables": lambda: b"\xff\xd8\xff\xd9" + saved(scene(), "JPEG"),
+    "JPEG, an end before its scan": lambda: _before(0xDA, b"\xff\xd9"),
+    "JPEG, an end and a start behind its frame": lambda: _before(0xC4, b"\xff\xd9\xff\xd8"),
+    "JPEG, two frames": lambda: _before(0xC4, segment(0xC0, b"\x08\0\x20\0\x30\1\1\x11\0")),
+    "JPEG, a hierarchy of frames": lambda: _before(0xC0, segment(0xDE, b"\x08\0\x20\0\x30\1\1\x11\0")),
+    "JPEG, a frame of more channels than it says": lambda: _before(0xC0, segment(0xC0, b"\x08\0\x20\0\x30" + bytes(7))),
+    "JPEG, a frame of no bytes": lambda: _before(0xC0, segment(0xC0, b"")),
+    "JPEG, a first scan of one channel": lambda: first_scan_of_one_channel(scene()),
     "JPEG, padding behind its end": lambda: saved(scene(), "JPEG") + bytes(4096),
     "JPEG, a camera's raw data behind its end": lambda: saved(scene(), "JPEG") + b"BRCM" + bytes(range(256)) * 9,
     "JPEG, another JPEG behind it": lambda: saved(scene(), "JPEG") + saved(scene("L"), "JPEG"),
@@ -306,6 +315,26 @@ ANIMATIONS: Final[dict[str, Build]] = {
     "PNG, a frame beside the default picture": lambda: animated_png(1, default=True),
     "WebP": lambda: animation("WEBP"),
 }
+
+
+def _tables() -> bytes:
+    """Return a JPEG up to its frame: its start and tables."""
+    content = saved(scene(), "JPEG")
+    return content[: content.index(b"\xff\xc0")]
+
+
+def _before(marker: int, data: bytes) -> bytes:
+    """Return a JPEG with bytes in front of the first segment of a kind."""
+    content = saved(scene(), "JPEG")
+    at = content.index(bytes((0xFF, marker)))
+    return content[:at] + data + content[at:]
+
+
+def first_scan_of_one_channel(image: Image.Image) -> bytes:
+    """Return a baseline JPEG whose only scan has one of several channels, so that a decoder waits for the others."""
+    content = saved(image, "JPEG", subsampling=0)
+    at = content.index(b"\xff\xda")
+    return content[:at] + segment(0xDA, b"\1" + content[at + 5 : at + 7] + b"\0\x3f\0") + content[at + 14 :]
 
 
 def _filled() -> bytes:

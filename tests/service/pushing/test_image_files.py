@@ -26,6 +26,7 @@ from tests.service.pushing.picture_variants import (
     ORIENTED,
     PLAIN,
     exif_block,
+    first_scan_of_one_channel,
     grey,
     in_jpeg,
     in_webp,
@@ -265,6 +266,8 @@ def test_a_bound_holds_to_the_one(name: str) -> None:
         (saved(scene(), "JPEG", progressive=True, subsampling="4:2:0"), 7),
         (saved(scene(), "JPEG", progressive=True, subsampling="4:4:4"), 10),
         (saved(scene("CMYK"), "JPEG", progressive=True, subsampling="4:4:4"), 12),
+        (first_scan_of_one_channel(scene()), 10),
+        (first_scan_of_one_channel(scene("CMYK")), 12),
         (saved(scene(), "WEBP"), 16),
     ],
 )

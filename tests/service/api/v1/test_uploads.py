@@ -217,6 +217,10 @@ READ_FORMS: dict[str, tuple[str, bytes]] = {
         pusher_part(b"Content-Type: application/json", after=b'; filename="blob"'),
     ),
     "text part in ASCII": (BOUNDED_FORM, pusher_part(b"Content-Type: text/plain;charset=us-ascii")),
+    "ASCII in a part that says Latin-1": (
+        BOUNDED_FORM,
+        pusher_part(b"Content-Type: text/plain; charset=ISO-8859-1", b"Content-Transfer-Encoding: 8bit"),
+    ),
     "binary parts": (BOUNDED_FORM, pusher_part(b"Content-Transfer-Encoding: binary")),
     "8bit parts": (BOUNDED_FORM, pusher_part(b"content-transfer-encoding: 8BIT ", b"Content-Length: 40")),
     "image without a file name": (BOUNDED_FORM, part(b"image", PNG) + PUSHER_PART + END),
@@ -270,6 +274,12 @@ REFUSED_FORMS: dict[str, tuple[str, bytes, int, str]] = {
     "a part in UTF-16": (
         BOUNDED_FORM,
         pusher_part(b"Content-Type: application/json; charset=utf-16", data=json.dumps(PUSHER).encode("utf-16")),
+        422,
+        "body.pusher: received a text in another charset; accepted is UTF-8",
+    ),
+    "a part in Latin-1": (
+        BOUNDED_FORM,
+        pusher_part(b"Content-Type: text/plain; charset=ISO-8859-1", data=b'{"x": "\xe9"}'),
         422,
         "body.pusher: received a text in another charset; accepted is UTF-8",
     ),
