@@ -27,7 +27,7 @@ from service.api.v1.endpoints import ENDPOINTS, SINGLE
 from service.background.supervision import Supervisor
 from service.background.threads import PurposeThreads
 from service.connections.connection import BoundedConnection
-from service.connections.house import ConnectionLimits, House
+from service.connections.listener import ConnectionLimits, Listener
 from service.connections.shortcut_connection import connection_class
 from service.errors import ForbiddenError, MissingKeyError
 from service.inference.loaded_models import LoadedModels
@@ -148,9 +148,9 @@ def create_app(
         return telemetry.new_id()
 
     limits = _connection_limits(settings)
-    house = House(limits, admission.held, refuse)
+    listener = Listener(limits, admission.held, refuse)
     metrics = exposition(
-        app.requests, gauges(models, readiness, threads, admission, house, keys, supervisor, log.writer.dropped)
+        app.requests, gauges(models, readiness, threads, admission, listener, keys, supervisor, log.writer.dropped)
     )
     app.parts = Parts(models, readiness, supervisor, keys, endpoints, metrics, Scrapes(metrics))
     _include_routes(app, keys.wanted, metrics=settings.metrics_port is None)
@@ -159,11 +159,11 @@ def create_app(
     app.rings = PathPrefix(traced, settings.root_path) if settings.root_path else traced
     if traced is telemetry:  # a ring around all others must see every request
         app.shortcut = Shortcut(SINGLE, endpoints, admission, telemetry)
-    app.connections = connection_class(house, app.shortcut)
+    app.connections = connection_class(listener, app.shortcut)
     scraped = Admission(app.parts.scrapes, _limits(settings), Callers(Keys(None)))
     app.metrics = RequestTelemetry(scraped, problem_response, log, app.requests)
     few = replace(limits, connections=_METRICS_CONNECTIONS)
-    app.metrics_connections = connection_class(House(few, scraped.held, refuse))
+    app.metrics_connections = connection_class(Listener(few, scraped.held, refuse))
     return app
 
 

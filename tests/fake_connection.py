@@ -8,7 +8,7 @@ from uvicorn import Config
 from uvicorn.server import ServerState
 
 from service.connections.connection import BoundedConnection
-from service.connections.house import ConnectionLimits, House
+from service.connections.listener import ConnectionLimits, Listener
 from service.connections.shortcut_connection import connection_class
 from service.errors import OverloadedError
 from service.transport.fast_path import Shortcut
@@ -74,33 +74,33 @@ class FakeTransport(asyncio.Transport):
         """Do not read. A test alone decides when bytes arrive."""
 
 
-def house_of(
+def listener_of(
     head_s: float = 3600.0,
     idle_s: float = 3600.0,
     write_s: float = 3600.0,
     connections: int = 100,
     unsent_bytes: int = 1 << 20,
     held_bytes: int = 1 << 20,
-) -> House:
+) -> Listener:
     """Return limits that no test reaches, but those that it sets."""
     held = Shares(
         held_bytes, held_bytes, lambda limit: OverloadedError(f"{limit} bytes"), lambda _: OverloadedError("")
     )
     limits = ConnectionLimits(head_s, idle_s, write_s, connections, unsent_bytes)
-    return House(limits, held, lambda code: "an-id")
+    return Listener(limits, held, lambda code: "an-id")
 
 
 class FakeConnection:
     """A connection to an app. Create and use it inside an event loop."""
 
     def __init__(
-        self, app: ASGIApp, shortcut: Shortcut | None, head_s: float = 3600.0, house: House | None = None
+        self, app: ASGIApp, shortcut: Shortcut | None, head_s: float = 3600.0, listener: Listener | None = None
     ) -> None:
         config = Config(app, log_config=None, access_log=False, proxy_headers=False)
         config.load()
         self.state = ServerState()
         self.transport = FakeTransport()
-        kind = connection_class(house or house_of(head_s=head_s), shortcut)
+        kind = connection_class(listener or listener_of(head_s=head_s), shortcut)
         self.protocol: BoundedConnection = kind(config, self.state, {})
         self.protocol.connection_made(self.transport)
 

@@ -28,7 +28,7 @@ class Traffic(Protocol):
 
 
 class Connected(Protocol):
-    """Counts of connections. ``connections.house.House`` keeps them."""
+    """Counts of connections. ``connections.listener.Listener`` keeps them."""
 
     @property
     def count(self) -> int:

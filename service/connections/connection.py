@@ -25,9 +25,9 @@ from service.connections.framing import (
     path_and_query,
     straddling,
 )
-from service.connections.guest_connection import MAX_DISCARDED_BYTES, GuestConnection
 from service.connections.head_clock import MAX_HEAD_BYTES
-from service.connections.house import Cycle
+from service.connections.lifecycle import MAX_DISCARDED_BYTES, ConnectionLifecycle
+from service.connections.listener import Cycle
 from service.errors import MalformedRequestError
 
 _LINE_ENDS: Final = b"\r\n"
@@ -35,7 +35,7 @@ _LINE_ENDS: Final = b"\r\n"
 logger = logging.getLogger(__name__)
 
 
-class BoundedConnection(GuestConnection):
+class BoundedConnection(ConnectionLifecycle):
     """A connection of HTTP/1.1 that bounds its requests in time and in bytes."""
 
     def data_received(self, data: bytes) -> None:
@@ -55,7 +55,7 @@ class BoundedConnection(GuestConnection):
     def resume_writing(self) -> None:
         """Read on: all answers have left."""
         super().resume_writing()
-        self.house.unsent.remove(self)
+        self.listener.unsent.remove(self)
         self._go_on()
 
     # The parser calls these.
@@ -288,6 +288,6 @@ class BoundedConnection(GuestConnection):
         if self._is_ended or self._clock.is_idle:
             self._finish()
             return
-        head_s = self.house.limits.head_s
+        head_s = self.listener.limits.head_s
         detail = f"head: received only a part within {head_s:g} s; accepted is all of it within {head_s:g} s"
         self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)

@@ -13,7 +13,7 @@ if sys.platform != "win32":
 OTHER_DESCRIPTORS: Final = 128  # for files, threads and the registry
 
 
-class Guest(Protocol):
+class OpenConnection(Protocol):
     """A connection among others.
 
     Attributes:
@@ -66,12 +66,12 @@ class OpenConnections:
 
     def __init__(self, limit: int) -> None:
         self._limit = affordable(limit)
-        self._open: dict[Guest, None] = {}
+        self._open: dict[OpenConnection, None] = {}
 
     def __len__(self) -> int:
         return len(self._open)
 
-    def enter(self, newcomer: Guest) -> None:
+    def enter(self, newcomer: OpenConnection) -> None:
         """Add a new connection. If there is no room, end another one, or turn the new one away."""
         if len(self._open) >= self._limit:
             leaver = self._leaver(newcomer)
@@ -82,17 +82,19 @@ class OpenConnections:
             leaver.make_room()
         self._open[newcomer] = None
 
-    def leave(self, guest: Guest) -> None:
+    def leave(self, connection: OpenConnection) -> None:
         """Remove a connection that is lost."""
-        self._open.pop(guest, None)
+        self._open.pop(connection, None)
 
-    def _leaver(self, newcomer: Guest) -> Guest | None:
+    def _leaver(self, newcomer: OpenConnection) -> OpenConnection | None:
         """Return the connection that makes room: an idle one, or one of a caller that holds more than the newcomer."""
-        held = Counter(guest.caller for guest in self._open)
-        idle = [guest for guest in self._open if guest.is_idle()]
+        held = Counter(connection.caller for connection in self._open)
+        idle = [connection for connection in self._open if connection.is_idle()]
         if idle:
-            return max(idle, key=lambda guest: (held[guest.caller], guest.waited_s()))
+            return max(idle, key=lambda connection: (held[connection.caller], connection.waited_s()))
         waiting = [
-            guest for guest in self._open if not guest.is_busy() and held[guest.caller] > held[newcomer.caller] + 1
+            connection
+            for connection in self._open
+            if not connection.is_busy() and held[connection.caller] > held[newcomer.caller] + 1
         ]
-        return max(waiting, key=lambda guest: (held[guest.caller], guest.waited_s()), default=None)
+        return max(waiting, key=lambda connection: (held[connection.caller], connection.waited_s()), default=None)

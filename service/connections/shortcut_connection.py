@@ -10,7 +10,7 @@ from starlette.types import Scope
 from uvicorn.protocols.http.httptools_impl import STATUS_LINE
 
 from service.connections.connection import BoundedConnection
-from service.connections.house import House
+from service.connections.listener import Listener
 from service.transport.draining import CLOSE
 from service.transport.endpoints import Headers
 from service.transport.fast_path import Shortcut, ShortcutRequest
@@ -128,14 +128,14 @@ class ShortcutConnection(BoundedConnection):
         super().on_message_complete()
 
 
-def connection_class(house: House, shortcut: Shortcut | None = None) -> type[BoundedConnection]:
+def connection_class(listener: Listener, shortcut: Shortcut | None = None) -> type[BoundedConnection]:
     """Return the class of connections, which uvicorn instantiates itself.
 
     Args:
-        house: what all connections share.
+        listener: limits and counts that all connections share.
         shortcut: answers plain single pushes. None if every request must pass all rings.
     """
-    own: dict[str, Any] = {"house": house}
+    own: dict[str, Any] = {"listener": listener}
     if shortcut is None:
         return type("Connection", (BoundedConnection,), own)
     return type("Connection", (ShortcutConnection,), {**own, "shortcut": shortcut})

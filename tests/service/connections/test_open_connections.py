@@ -61,11 +61,11 @@ def test_the_right_connection_makes_room(
     """An idle one leaves first. A busy one never does, and without one the newcomer is turned away."""
     found = OpenConnections(len(states))
     guests = [FakeGuest(*state) for state in states]
-    for guest in guests:
-        found.enter(guest)
+    for connection in guests:
+        found.enter(connection)
     last = FakeGuest(newcomer, "new")
     found.enter(last)
-    assert [guest.state == "left" for guest in guests] == [number == leaver for number in range(len(guests))]
+    assert [connection.state == "left" for connection in guests] == [number == leaver for number in range(len(guests))]
     assert (last.state == "turned away") is (leaver is None)
     assert len(found) == len(guests)
 

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable
 from starlette.responses import PlainTextResponse
 
 from service.connections.unsent import LEAST_BYTES_PER_S, UnsentAnswers
-from tests.fake_connection import FakeConnection, house_of
+from tests.fake_connection import FakeConnection, listener_of
 
 LIMIT_S = 0.2
 
@@ -87,8 +87,8 @@ def test_no_request_is_begun_while_an_answer_waits() -> None:
 
     async def scenario() -> None:
         """Send two requests while the first answer does not leave."""
-        house = house_of(write_s=LIMIT_S)
-        connection = FakeConnection(PlainTextResponse("fine"), None, house=house)
+        listener = listener_of(write_s=LIMIT_S)
+        connection = FakeConnection(PlainTextResponse("fine"), None, listener=listener)
         request = b"GET / HTTP/1.1\r\nhost: a\r\n\r\n"
         connection.transport.unsent = 70_000
         connection.receive(request)

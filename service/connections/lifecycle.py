@@ -9,7 +9,7 @@ from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from service.connections.framing import ChunkedBody
 from service.connections.head_clock import HeadClock
-from service.connections.house import GatedFlow, House
+from service.connections.listener import GatedFlow, Listener
 from service.connections.unsent import PairedWrites
 from service.errors import CazslError, MalformedRequestError, OverloadedError
 from service.transport.callers import caller_at
@@ -20,14 +20,14 @@ KERNEL_BYTES: Final = 128 * 1024
 MAX_DISCARDED_BYTES: Final = 64 << 20
 
 
-class GuestConnection(HttpToolsProtocol):
-    """A connection of a house, with the state of the request that it reads.
+class ConnectionLifecycle(HttpToolsProtocol):
+    """A connection of a listener, with the state of the request that it reads.
 
     A request is begun with the first byte of its head, in its body once the head is complete, and busy from its last
     byte to its answer.
     """
 
-    house: House
+    listener: Listener
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as uvicorn has it
         """Open the connection, and start its clock."""
@@ -40,7 +40,7 @@ class GuestConnection(HttpToolsProtocol):
         super().connection_made(cast(asyncio.Transport, self._writes))
         self._gate = self.flow = GatedFlow(cast(asyncio.Transport, self._writes))
         self.caller = caller_at(self.client[0] if self.client else "")
-        limits = self.house.limits
+        limits = self.listener.limits
         self._clock = HeadClock(self.loop, limits.head_s, limits.idle_s, self._on_late)
         self._is_begun = self._is_in_body = self._is_busy = self._is_ended = self._is_half_closed = False
         self._before = b""  # last bytes of an incomplete head
@@ -51,7 +51,7 @@ class GuestConnection(HttpToolsProtocol):
         self._held_bytes = 0
         self._discarded_bytes = 0
         self._lingering: asyncio.TimerHandle | None = None
-        self.house.open.enter(self)
+        self.listener.open.enter(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Stop the clock, and release everything that is held."""
@@ -61,14 +61,14 @@ class GuestConnection(HttpToolsProtocol):
             self._lingering.cancel()
         self._rest = b""
         self._hold(0)
-        self.house.open.leave(self)
-        self.house.unsent.remove(self)
+        self.listener.open.leave(self)
+        self.listener.unsent.remove(self)
         super().connection_lost(exc)
 
     def pause_writing(self) -> None:
         """Watch the answers that have not left."""
         super().pause_writing()
-        self.house.unsent.add(self)
+        self.listener.unsent.add(self)
 
     # ``OpenConnections`` and ``UnsentAnswers`` call these.
 
@@ -93,7 +93,7 @@ class GuestConnection(HttpToolsProtocol):
 
     def turn_away(self) -> None:
         """Refuse the connection: there are too many."""
-        error = OverloadedError(f"{self.house.limits.connections} connections")
+        error = OverloadedError(f"{self.listener.limits.connections} connections")
         self._refuse(error.status, error.code, str(error), linger=False)
 
     def unsent_bytes(self) -> int:
@@ -102,7 +102,7 @@ class GuestConnection(HttpToolsProtocol):
 
     def cut_off(self, reason: str) -> None:
         """End the connection at once, and count why."""
-        self.house.refuse(reason)
+        self.listener.refuse(reason)
         self._is_ended = True
         self.transport.abort()
 
@@ -124,10 +124,10 @@ class GuestConnection(HttpToolsProtocol):
         """Hold this number of bytes of requests that the application does not know yet."""
         change, self._held_bytes = count - self._held_bytes, count
         if change < 0:
-            self.house.held.give(self.caller, -change)
+            self.listener.held.give(self.caller, -change)
         elif change:
             try:
-                self.house.held.take(self.caller, change)
+                self.listener.held.take(self.caller, change)
             except CazslError as error:
                 self._held_bytes -= change
                 self._refuse(error.status, error.code, str(error))
@@ -139,7 +139,7 @@ class GuestConnection(HttpToolsProtocol):
         """Write a problem and end. The application has no request that it could answer."""
         if self._is_ended or self.transport.is_closing():
             return
-        request_id = self.house.refuse(code)
+        request_id = self.listener.refuse(code)
         body = problem_body(status, code, status.phrase, detail, request_id=request_id)
         retry = "retry-after: 1\r\n" if status == HTTPStatus.SERVICE_UNAVAILABLE else ""
         head = (
@@ -168,7 +168,7 @@ class GuestConnection(HttpToolsProtocol):
         self._writes.end_sending()
         self._gate.is_shut = False
         self.flow.resume_reading()
-        self._lingering = self.loop.call_later(self.house.limits.head_s, self._writes.end)
+        self._lingering = self.loop.call_later(self.listener.limits.head_s, self._writes.end)
 
     def _on_late(self) -> None:
         """Act on a clock that has run out."""

@@ -1,4 +1,4 @@
-"""The house of all connections: their limits and counts. It has the parts of uvicorn that each connection changes."""
+"""Listener: the limits and counts that its connections share, and the parts of uvicorn that each connection changes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -31,8 +31,8 @@ class ConnectionLimits:
     unsent_bytes: int
 
 
-class House:
-    """What the connections of a service share: limits, counts, and the metrics of refusals.
+class Listener:
+    """Limits and counts of the connections of one listener, and the counter of refusals.
 
     Attributes:
         limits: limits of connections.
