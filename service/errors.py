@@ -6,6 +6,7 @@
     │   │   ├── ContextKindError       422  the model takes another kind of object context
     │   │   └── InvalidImageError      422  an image is broken, truncated, animated, or too costly to read
     │   ├── MalformedBodyError         400  the body is not the JSON, form or tensors that it is declared to be
+    │   ├── MalformedRequestError      400  the head or the framing of the request is not HTTP
     │   ├── MissingKeyError            401  an API key is required, and none or an unknown one was sent
     │   ├── ForbiddenError             403  the API key lacks the scope
     │   ├── UnknownModelError          404  no such model, version or alias
@@ -38,7 +39,7 @@ Standard library only.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
-from typing import Self
+from typing import Any, Self
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,16 @@ class CazslError(Exception):
 
     code, title = "internal", "Internal error"
     status = HTTPStatus.INTERNAL_SERVER_ERROR
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle text and attributes. By default an exception is pickled as a call with its text, which few take."""
+        return _unpickled, (type(self), self.args, vars(self))
+
+
+def _unpickled(kind: type[CazslError], texts: tuple[str, ...], attributes: dict[str, Any]) -> CazslError:
+    error = kind.__new__(kind, *texts)
+    vars(error).update(attributes)
+    return error
 
 
 class RequestError(CazslError):
@@ -81,10 +92,6 @@ class InvalidRequestError(RequestError):
     def at(cls, where: str, received: str, accepted: str) -> Self:
         """Create the error of one fault: the field, the received value, the accepted values."""
         return cls([FieldFault(where, received, accepted)])
-
-    def __reduce__(self) -> tuple[type["InvalidRequestError"], tuple[tuple[FieldFault, ...]]]:
-        """Pickle with the faults. By default an exception pickles with its text alone."""
-        return type(self), (self.faults,)
 
 
 class InvalidImageError(InvalidRequestError):

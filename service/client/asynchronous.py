@@ -1,6 +1,8 @@
 """Client for asyncio."""
 
 import asyncio
+import math
+import os
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Self, TypeVar
@@ -9,8 +11,9 @@ import httpx2
 import numpy.typing as npt
 
 from service.client import calls
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part, connections
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
 from service.client.calls import Call, Context, Image, Predictions
+from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
 from service.client.retries import Retries, retry_after_s
 from service.schemas.contexts import VisualContextBody
@@ -33,7 +36,11 @@ class AsyncClient(ClientBase):
         http: httpx2.AsyncClient | None = None,
     ) -> None:
         super().__init__(url, key, timeout_s, retries)
-        self._http = http or connections(url, httpx2.AsyncClient, httpx2.AsyncHTTPTransport)
+        self._connections = Connections(
+            http,
+            lambda: connect_from_environment(url, httpx2.AsyncClient, httpx2.AsyncHTTPTransport),
+            lambda: (os.getpid(), asyncio.get_running_loop()),
+        )
 
     @classmethod
     def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
@@ -41,7 +48,7 @@ class AsyncClient(ClientBase):
         from service.client.local import InProcess  # as in Client
 
         http = httpx2.AsyncClient(transport=InProcess.over(registry, require_signature))
-        return cls(IN_PROCESS_URL, retries=ONE_ATTEMPT, http=http)
+        return cls(IN_PROCESS_URL, timeout_s=math.inf, retries=ONE_ATTEMPT, http=http)
 
     async def __aenter__(self) -> Self:
         return self
@@ -53,7 +60,7 @@ class AsyncClient(ClientBase):
 
     async def close(self) -> None:
         """Close all connections."""
-        await self._http.aclose()
+        await self._connections.http.aclose()
 
     async def predict(
         self,
@@ -119,18 +126,19 @@ class AsyncClient(ClientBase):
     async def _exchange(self, call: Call[T], deadline: Deadline) -> tuple[httpx2.Response, bytes]:
         """Send one request and read the whole answer before the deadline. See ``Client``."""
         while True:
-            content = bytearray()
+            content, http = bytearray(), self._connections.in_use()
             watch = ConnectionWatch(deadline)
             try:
                 async with (
                     asyncio.timeout(deadline.bound_s(None)),
-                    self._http.stream(**self._request(call, deadline, watch.trace_async)) as response,
+                    http.stream(**self._request(call, deadline, watch.trace_async)) as response,
                 ):
                     async for part in response.aiter_raw():
                         add_part(content, part, call.max_answer_bytes)
+                        deadline.bound_s(None)
                 return response, bytes(content)
             except (TimeoutError, httpx2.TimeoutException) as error:
                 raise self._timed_out() from error
-            except (httpx2.RequestError, httpx2.InvalidURL) as error:
+            except UNREACHABLE as error:
                 if not watch.was_idle:
                     raise self._unreachable(error) from error

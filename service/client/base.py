@@ -1,14 +1,14 @@
-"""Base of both clients: address, API key, connections, timeout, retries, and the limit on the size of an answer."""
+"""Base of both clients: address, API key, timeout, retries, and the limit on the size of an answer."""
 
 import random
 from collections.abc import Callable
-from typing import Any, Final, TypeVar
-from urllib.request import proxy_bypass
+from typing import Any, Final, NoReturn, TypeVar
 
 import httpx2
 
 import service
 from service.client.calls import Call
+from service.client.connections import parse_address
 from service.client.deadline import Deadline
 from service.client.errors import ClientSetupError, TimedOutError, UnreachableError, UnreadableAnswerError
 from service.client.retries import Retries, retry_after_s
@@ -20,19 +20,24 @@ ONE_ATTEMPT: Final = Retries(attempts=1)
 _HEADERS: Final = {"User-Agent": f"cazsl/{service.__version__}", "Accept-Encoding": "identity"}
 
 T = TypeVar("T")
-H = TypeVar("H", httpx2.Client, httpx2.AsyncClient)
 
 
 class ClientBase:
     """Common part of both clients. It sends no requests itself."""
 
     def __init__(self, url: str, key: str | None, timeout_s: float, retries: Retries | None) -> None:
+        address = parse_address(url)
+        if not timeout_s > 0.0:
+            raise ClientSetupError(f"timeout_s: received {timeout_s}; accepted is a positive number of seconds, or inf")
         if key is not None and not (key and key.isascii() and key.isprintable() and key == key.strip()):
             raise ClientSetupError(
                 "key: received an empty text, or one with spaces around it or characters that no key has; "
                 "accepted is a key as `cazsl keys new` shows it"
             )
+        if key is not None and address.userinfo:
+            raise ClientSetupError("url: received a name or password beside a key; accepted is one of them")
         self._url = url.rstrip("/")
+        self._shown_url = str(address.copy_with(userinfo=b"")).rstrip("/") if address.userinfo else self._url
         self._headers = dict(_HEADERS) if key is None else {**_HEADERS, "Authorization": f"Bearer {key}"}
         self._timeout_s = timeout_s
         self._retries = retries or Retries()
@@ -60,42 +65,18 @@ class ClientBase:
         return None if pause_s is None or pause_s >= deadline.left_s() else pause_s
 
     def _timed_out(self) -> TimedOutError:
-        return TimedOutError(f"{self._url} gave no complete answer within {self._timeout_s:g} s")
+        return TimedOutError(f"{self._shown_url} gave no complete answer within {self._timeout_s:g} s")
 
-    def _unreachable(self, error: httpx2.RequestError | httpx2.InvalidURL) -> UnreachableError:
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a client has connections and is not pickled: create one in each process")
+
+    def _unreachable(self, error: Exception) -> UnreachableError:
+        while isinstance(error, ExceptionGroup):
+            error = error.exceptions[0]
         cause = str(error) or type(error).__name__
         return UnreachableError(
-            f"{self._url} cannot be reached: {cause}; is the service running, and is this its address?"
+            f"{self._shown_url} cannot be reached: {cause}; is the service running, and is this its address?"
         )
-
-
-def connections(url: str, client: Callable[..., H], transport: Callable[[], Any]) -> H:
-    """Create the connections of a client from the settings of the environment for proxies and certificates.
-
-    Args:
-        url: address of the service. If ``no_proxy`` exempts it, the proxies of the environment are not read.
-        client: class of the client of httpx.
-        transport: class of its direct connections.
-
-    Raises:
-        ClientSetupError: a proxy or a certificate of the environment cannot be used.
-    """
-    try:
-        if proxy_bypass(httpx2.URL(url).netloc.decode("ascii")):
-            return client(transport=transport())
-        return client()
-    except ImportError as error:
-        raise ClientSetupError("a proxy of the environment needs the package 'socksio': pip install socksio") from error
-    except (ValueError, httpx2.InvalidURL) as error:
-        raise ClientSetupError(
-            f"HTTP_PROXY, HTTPS_PROXY or ALL_PROXY: received no address of a proxy ({error}); "
-            "accepted is http://host:port"
-        ) from error
-    except OSError as error:
-        cause = error.strerror or str(error)
-        raise ClientSetupError(
-            f"SSL_CERT_FILE or SSL_CERT_DIR: received no readable certificates ({cause}); accepted are PEM files"
-        ) from error
 
 
 def add_part(content: bytearray, part: bytes, max_bytes: int) -> None:

@@ -1,5 +1,7 @@
 """Blocking client."""
 
+import math
+import os
 import time
 from collections.abc import Sequence
 from types import TracebackType
@@ -9,8 +11,9 @@ import httpx2
 import numpy.typing as npt
 
 from service.client import calls
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part, connections
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
 from service.client.calls import Call, Context, Image, Predictions
+from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
 from service.client.retries import Retries, retry_after_s
 from service.schemas.contexts import VisualContextBody
@@ -21,17 +24,18 @@ T = TypeVar("T")
 
 
 class Client(ClientBase):
-    """A blocking client. Threads may share it. Connections stay open until it is closed.
+    """A blocking client. Threads may share it, and a forked process. Connections stay open until it is closed.
 
     Args:
         url: address of the service.
         key: API key, if the service requires one.
-        timeout_s: limit of a call, in s: connect, send, read the whole answer, and all retries with their pauses.
+        timeout_s: limit of a call, in s: connect, send, read the whole answer, and all retries with their pauses. inf
+            is none.
         retries: number and pauses of retries after a 503. No other answer is retried.
         http: your own httpx client, for TLS, proxies or other transports. It is closed with this client.
 
     Raises:
-        ClientSetupError: the key, or a proxy or certificate of the environment, cannot be used.
+        ClientSetupError: the address, the key, or a proxy or certificate of the environment, cannot be used.
 
     Every method raises:
         ProblemError: the service refused the request. ``code``, ``detail`` and ``faults`` give the reason.
@@ -49,7 +53,9 @@ class Client(ClientBase):
         http: httpx2.Client | None = None,
     ) -> None:
         super().__init__(url, key, timeout_s, retries)
-        self._http = http or connections(url, httpx2.Client, httpx2.HTTPTransport)
+        self._connections = Connections(
+            http, lambda: connect_from_environment(url, httpx2.Client, httpx2.HTTPTransport), os.getpid
+        )
 
     @classmethod
     def local(cls, registry: str = "models", *, require_signature: str = "") -> Self:
@@ -66,7 +72,7 @@ class Client(ClientBase):
         from service.client.local import InProcess  # loads onnxruntime, which a client of a service does not need
 
         http = httpx2.Client(transport=InProcess.over(registry, require_signature))
-        return cls(IN_PROCESS_URL, retries=ONE_ATTEMPT, http=http)
+        return cls(IN_PROCESS_URL, timeout_s=math.inf, retries=ONE_ATTEMPT, http=http)
 
     def __enter__(self) -> Self:
         return self
@@ -78,7 +84,7 @@ class Client(ClientBase):
 
     def close(self) -> None:
         """Close all connections."""
-        self._http.close()
+        self._connections.http.close()
 
     def predict(
         self,
@@ -169,16 +175,16 @@ class Client(ClientBase):
         safe because predictions have no side effects.
         """
         while True:
-            content = bytearray()
+            content, http = bytearray(), self._connections.in_use()
             watch = ConnectionWatch(deadline)
             try:
-                with watch, self._http.stream(**self._request(call, deadline, watch.trace)) as response:
+                with watch, http.stream(**self._request(call, deadline, watch.trace)) as response:
                     for part in response.iter_raw():
                         add_part(content, part, call.max_answer_bytes)
                         deadline.bound_s(None)
                 return response, bytes(content)
             except (TimeoutError, httpx2.TimeoutException) as error:
                 raise self._timed_out() from error
-            except (httpx2.RequestError, httpx2.InvalidURL) as error:
+            except UNREACHABLE as error:
                 if not watch.was_idle:
                     raise self._unreachable(error) from error

@@ -40,6 +40,7 @@ MAX_ANSWER_BYTES: Final = 1 << 20
 MAX_CATALOGUE_BYTES: Final = 4 << 20  # a list of 10,000 models, or a manifest with its card
 _PROBLEM_BYTES: Final = 64 * 1024
 _ROW_BYTES: Final = 1024  # more than one push in the world frame: 15 numbers of up to 24 digits, with their brackets
+_BRACKETS, _ROW_BRACKETS = 100, 16  # of arrays. A push in the world frame has 6, and rows take 50 times their bytes.
 _LISTED_FAULTS: Final = 100  # to list the faults takes a thousand times the memory of the answer
 
 
@@ -165,11 +166,22 @@ def _post(path: str, document: dict[str, Any], parse: Callable[[bytes], T], rows
 
 
 def _dump(document: object) -> bytes:
-    return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
+    try:
+        return orjson.dumps(document, option=orjson.OPT_SERIALIZE_NUMPY)
+    except TypeError as error:
+        raise ProblemError.at(
+            "request", f"a value that is none of JSON ({error})", "whole texts, and numbers"
+        ) from error
 
 
 def _model_field(model: str | None) -> dict[str, Any]:
-    return {} if model is None else {"model": model}
+    if model is None:
+        return {}
+    try:
+        str(model).encode()
+    except UnicodeEncodeError as error:
+        raise ProblemError.at("model", "a text with half a character", "name, name@alias or name@version") from error
+    return {"model": model}
 
 
 def _segment(name: str) -> str:
@@ -205,10 +217,7 @@ def _rows(poses: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
 
 def _finite(numbers: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
     """Return the numbers as contiguous float64. NaN is refused here, because JSON would send null for it."""
-    try:
-        given = np.asarray(numbers)
-    except ValueError as error:
-        raise ProblemError.at(where, "rows of different lengths", "an array of real numbers") from error
+    given = _as_array(numbers, where)
     if given.dtype.kind not in _REAL_KINDS:
         raise ProblemError.at(where, f"an array of {given.dtype}", "an array of real numbers")
     found = np.asarray(given, dtype=np.float64, order="C")
@@ -219,8 +228,15 @@ def _finite(numbers: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
     return found
 
 
+def _as_array(numbers: npt.ArrayLike, where: str) -> npt.NDArray[Any]:
+    try:
+        return np.asarray(numbers)
+    except ValueError as error:
+        raise ProblemError.at(where, "rows of different lengths", "an array of real numbers") from error
+
+
 def _index(index: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    found = np.asarray(index)
+    found = _as_array(index, "context_index")
     if found.ndim != 1 or not np.issubdtype(found.dtype, np.integer):
         received = f"shape {found.shape} of {found.dtype}"
         raise ProblemError.at("context_index", received, "shape (n,) of integers: one per push")
@@ -245,6 +261,8 @@ def _reason(error: ValidationError) -> str:
 
 
 def _predictions(content: bytes, count: int) -> Predictions:
+    if content.count(b"[") > _BRACKETS + count * _ROW_BRACKETS:
+        raise UnreadableAnswerError(f"the answer has more rows than the {count} of the request")
     body = BatchResponse.model_validate_json(content, extra="ignore")
     kind = np.float32 if body.frame == "object" else np.float64
     return Predictions(

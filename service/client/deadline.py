@@ -5,6 +5,7 @@ another, could hold a blocking call for ever. ``ConnectionWatch`` is told by htt
 each new connection, and bounds the waits of that connection by the deadline of the call that uses it.
 """
 
+import socket
 import time
 from collections.abc import Callable, Mapping
 from contextvars import ContextVar, Token
@@ -12,6 +13,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 _PIECE: Final = 16 * 1024  # one wait covers all of a write, and a slow reader could stretch it
+_LONGEST_WAIT_S: Final = 1e6  # a socket takes no limit of more than 24 days
 _NEW: Final = ("connect_tcp.complete", "connect_unix_socket.complete", "start_tls.complete")
 
 
@@ -32,7 +34,7 @@ class Deadline:
         Raises:
             TimeoutError: no time is left.
         """
-        left_s = self.left_s()
+        left_s = min(self.left_s(), _LONGEST_WAIT_S)
         if left_s <= 0.0:
             raise TimeoutError
         return left_s if wait_s is None else min(wait_s, left_s)
@@ -68,7 +70,8 @@ class ConnectionWatch:
     def trace(self, event: str, info: dict[str, Any]) -> None:
         """Follow a blocking connection. httpx calls this before and after each step."""
         if self._opens(event, info):
-            info["timeout"] = self._deadline.bound_s(info["timeout"])
+            addresses = _count_addresses(info) if event.endswith("connect_tcp.started") else 1
+            info["timeout"] = self._deadline.bound_s(info["timeout"]) / addresses
         elif event.endswith(_NEW):
             _bound_waits(info["return_value"])
 
@@ -103,6 +106,14 @@ def _bound_waits(stream: Any) -> None:
             write(buffer[start : start + _PIECE], timeout=_bound_s(timeout))
 
     stream.read, stream.write = read_in_time, write_in_time
+
+
+def _count_addresses(info: Mapping[str, Any]) -> int:
+    """Return the number of addresses of a host. They are tried one after another, each with the limit of the step."""
+    try:
+        return max(1, len(socket.getaddrinfo(info["host"], info["port"], type=socket.SOCK_STREAM)))
+    except (OSError, ValueError, OverflowError):  # connecting raises it again
+        return 1
 
 
 def _bound_s(wait_s: float | None) -> float | None:

@@ -6,7 +6,7 @@
         ├── UnreachableError       there was no answer, or the connection broke
         │   └── TimedOutError      the answer did not arrive in time
         ├── UnreadableAnswerError  the answer is not that of a CAZSL service
-        └── ClientSetupError       the key, or a proxy or certificate of the environment, cannot be used
+        └── ClientSetupError       an address, a key, or a proxy or certificate of the environment, is unusable
 
 Standard library only.
 """
@@ -85,7 +85,7 @@ class UnreadableAnswerError(ClientError):
 
 
 class ClientSetupError(ClientError):
-    """The client cannot be created: its key, or a proxy or certificate of the environment, cannot be used."""
+    """The client cannot be created: its address, key, or a proxy or certificate of the environment, is unusable."""
 
     code = "client_setup"
     title = "The client cannot be set up"

@@ -1,10 +1,12 @@
 """The error tree is drawn as it is, and its messages name field, received and accepted value."""
 
+import inspect
 import pickle
 import re
 
 import pytest
 
+import service.client.errors as client_errors
 import service.errors as errors
 from service.errors import (
     BodyTooLargeError,
@@ -16,6 +18,9 @@ from service.errors import (
 )
 
 TREE = [found for found in vars(errors).values() if isinstance(found, type) and issubclass(found, CazslError)]
+CLIENT_TREE = [
+    found for found in vars(client_errors).values() if isinstance(found, type) and issubclass(found, CazslError)
+]
 
 
 @pytest.mark.parametrize("error", TREE)
@@ -46,6 +51,25 @@ def test_a_message_names_received_and_accepted_values() -> None:
     error = InvalidRequestError([FieldFault("a", "b", "c"), FieldFault("d", "e", "f")])
     assert str(error) == "a: received b; accepted is c; d: received e; accepted is f"
     assert "1024" in str(BodyTooLargeError(1024))
+
+
+SAMPLES: dict[str, object] = {
+    "str": "text",
+    "int": 7,
+    "float": 2.5,
+    "Sequence": [FieldFault("a", "b", "c")],
+}
+
+
+@pytest.mark.parametrize("kind", [*TREE, *CLIENT_TREE])
+def test_every_error_survives_a_pickle(kind: type[CazslError]) -> None:
+    """An error of a worker process arrives with its class, text and attributes, whatever its constructor takes."""
+    own = kind.__init__ is not Exception.__init__
+    parameters = [*inspect.signature(kind).parameters.values()] if own else []
+    needed = [part for part in parameters if part.default is part.empty]
+    error = kind(*(SAMPLES[str(getattr(part.annotation, "__name__", part.annotation))] for part in needed))
+    copy = pickle.loads(pickle.dumps(error))  # noqa: S301 (pickled in the same line)
+    assert (type(copy), str(copy), vars(copy)) == (kind, str(error), vars(error))
 
 
 def test_an_invalid_request_is_pickled_with_its_faults() -> None:

@@ -1,6 +1,7 @@
 """Tests of requests and answers: array forms, refused arguments, and unreadable answers."""
 
 import json
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -71,11 +72,24 @@ def test_invalid_array_is_refused_with_its_field(pushers: Any, where: str) -> No
     assert [fault.where for fault in raised.value.faults] == [where]
 
 
-@pytest.mark.parametrize("index", [np.array([0.0, 1.0]), [[0, 1]], "01"])
+@pytest.mark.parametrize("index", [np.array([0.0, 1.0]), [[0, 1]], "01", [[0], [0, 1]]])
 def test_invalid_context_index_is_refused(index: Any) -> None:
     """A context index that is not one integer per push is refused."""
     with pytest.raises(ProblemError, match="context_index"):
         calls.predict_batch(PUSHERS, ["1a2b3c4a"], index, None, None)
+
+
+def test_text_that_is_not_unicode_is_refused() -> None:
+    """Half a character, as a file name that is not UTF-8 gives it, is refused before sending, in JSON and in a form."""
+    half = "\ud800"
+    for build in (
+        lambda: calls.predict([0, 0, 0], half, None, None),
+        lambda: calls.predict([0, 0, 0], None, half, None),
+        lambda: calls.predict_batch(PUSHERS, half, None, None, None),
+        lambda: calls.predict_image(b"", PUSHERS, half, None),
+    ):
+        with pytest.raises(ProblemError, match="invalid_request"):
+            build()
 
 
 @pytest.mark.parametrize("name", ["", "..", "a/b", "push indicator", "push-indicator?x=1", "é", "Push-indicator"])
@@ -114,6 +128,7 @@ def test_unknown_fields_of_an_answer_are_ignored() -> None:
     "wrong",
     [
         {"mean": [[0.1, 0.2, 0.3]]},
+        {"mean": [[0.1, 0.2, 0.3]] * 200},
         {"std": [[1.0, 1.0], [2.0, 2.0]]},
         {"mean": [[0.1, 0.2, 0.3], [0.4]]},
         {"mean": None},
@@ -127,3 +142,15 @@ def test_invalid_answer_is_an_error(wrong: dict[str, Any]) -> None:
     """An answer with missing rows, numbers or names is an UnreadableAnswerError."""
     with pytest.raises(UnreadableAnswerError, match="answer"):
         read({**BATCH, **wrong})
+
+
+def test_answer_of_many_rows_is_refused_before_it_is_parsed() -> None:
+    """More rows than pushes take fifty times their bytes once they are parsed. They are counted before."""
+    answer = json.dumps({**BATCH, "mean": [[0, 0, 0]] * 200_000}).encode()
+    call = calls.predict_batch(PUSHERS, None, None, None, None)
+    tracemalloc.start()
+    with pytest.raises(UnreadableAnswerError, match="more rows than the 2 of the request"):
+        call.read(200, answer, None)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < len(answer)

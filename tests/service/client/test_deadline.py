@@ -1,6 +1,8 @@
 """Tests of the deadline of a call and of the watch of its connection."""
 
 import asyncio
+import math
+import socket
 from typing import Any
 
 import pytest
@@ -45,7 +47,7 @@ class FakeStream:
 def opened(deadline: Deadline, stream: FakeStream) -> Any:
     """Let a watch see a connection that is opened."""
     watch = ConnectionWatch(deadline)
-    watch.trace("connection.connect_tcp.started", {"timeout": 9.0})
+    watch.trace("connection.connect_tcp.started", {"host": "127.0.0.1", "port": 80, "timeout": 9.0})
     watch.trace("connection.connect_tcp.complete", {"return_value": stream})
     watch.trace(SENDS, {"request": None})
     assert not watch.was_idle
@@ -100,10 +102,33 @@ def test_steps_of_opening_share_the_deadline() -> None:
     clock = FakeClock()
     watch = ConnectionWatch(Deadline(5.0, clock))
     for event in ("connection.connect_tcp", "connection.start_tls"):
-        info: dict[str, Any] = {"timeout": 9.0}
+        info: dict[str, Any] = {"host": "127.0.0.1", "port": 80, "timeout": 9.0}
         watch.trace(f"{event}.started", info)
         assert info["timeout"] == 5.0 - clock.now_s
         clock.now_s += 2.0
+
+
+def test_addresses_of_a_host_share_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A host of five addresses that do not answer takes no longer than one. An unknown host is left to the connect."""
+    found: list[object] = [object()] * 5
+    monkeypatch.setattr("socket.getaddrinfo", lambda *_, **__: found)
+    watch = ConnectionWatch(Deadline(5.0, FakeClock()))
+    for addresses, limit_s in ((5, 1.0), (1, 5.0), (0, 5.0)):
+        found[:] = [object()] * addresses
+        info: dict[str, Any] = {"host": "many.example", "port": 80, "timeout": 9.0}
+        watch.trace("connection.connect_tcp.started", info)
+        assert info["timeout"] == limit_s
+    monkeypatch.undo()
+    unknown: dict[str, Any] = {"host": "a..b", "port": 80, "timeout": 9.0}
+    watch.trace("connection.connect_tcp.started", unknown)
+    assert unknown["timeout"] == 5.0
+
+
+def test_no_limit_is_one_that_a_socket_takes() -> None:
+    """A deadline of infinity, or of many years, bounds each wait by a number that a socket takes."""
+    for limit_s in (math.inf, 1e300):
+        with socket.socket() as connection:
+            connection.settimeout(Deadline(limit_s).bound_s(limit_s))
 
 
 def test_request_on_an_idle_connection_is_known_until_its_answer() -> None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,12 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("picture") / "view.png"
     Image.fromarray(grey).save(path)
     return path
+
+
+def test_client_in_this_process_has_no_limit_of_time(project_root: Path) -> None:
+    """A prediction in this process takes the time that it takes. The limit of a call is that of a service."""
+    with Client.local(str(project_root / "models")) as local:
+        assert local._timeout_s == math.inf
 
 
 GOOD = {
