@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from email.utils import parsedate_to_datetime
 from http import HTTPStatus
+from typing import Final
+
+_DOUBLINGS: Final = 100  # more than any pause takes, and few enough for a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +38,8 @@ class Retries:
         asked_s = retry_after_s or 0.0
         if asked_s > self.longest_s:
             return None
-        return min(asked_s + draw() * self.first_s * 2.0 ** (attempt - 1), max(asked_s, self.longest_s))
+        bound_s = self.first_s * 2.0 ** min(attempt - 1, _DOUBLINGS)
+        return min(asked_s + draw() * bound_s, max(asked_s, self.longest_s))
 
 
 def retry_after_s(header: str | None, now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> float | None:

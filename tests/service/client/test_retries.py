@@ -26,6 +26,7 @@ def test_number_of_attempts_includes_the_first() -> None:
     assert Retries(attempts=3).pause_s(2, 503, None, lambda: 0.0) == 0.0
     assert Retries(attempts=3).pause_s(3, 503, None, lambda: 0.0) is None
     assert Retries(attempts=1).pause_s(1, 503, None, lambda: 0.0) is None
+    assert Retries(attempts=9999, longest_s=5.0).pause_s(9998, 503, None, lambda: 1.0) == 5.0
 
 
 def test_pause_is_retry_after_plus_a_random_part() -> None:
