@@ -19,7 +19,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.turns": "",
         "service.background": "",
         "service.observability": "service.background",
-        "service.model": "service.errors service.turns",
+        "service.model": "service.errors service.turns service.processors",
         "service.pushing": "service.errors service.turns service.model",
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.files service.model service.pushing service.storage",

@@ -6,36 +6,13 @@ the bit, so predictions are the same in any pieces. A thread pauses between two 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
 from service.model.loaded_model import LoadedModel
-from service.model.predictor import ROWS_AT_ONCE
+from service.model.piece_limits import PieceLimits
 from service.model.tensors import FloatArray, IndexArray
 from service.turns import pause
-
-MAX_PUSHES: Final = 1024  # of a piece: with fewer the throughput falls, with more it does not rise
-MAX_CONTEXTS: Final = 64
-PIECE_BYTES: Final = 16 << 20  # all intermediate tensors of a piece. The runtime reuses the memory of most.
-PIECE_S: Final = 0.1  # others wait for at most this long
-
-
-@dataclass(frozen=True, slots=True)
-class PieceLimits:
-    """Maximum numbers of pushes and contexts in one call of the runtime."""
-
-    pushes: int
-    contexts: int
-
-    @classmethod
-    def of(cls, model: LoadedModel) -> "PieceLimits":
-        """Return the limits for a version, by the size of its tensors and its measured time."""
-        size, cost = model.predictor.size, model.cost
-        pushes = min(MAX_PUSHES, PIECE_BYTES // max(1, size.row_bytes), cost.pushes_within(PIECE_S))
-        contexts = min(MAX_CONTEXTS, PIECE_BYTES // max(1, size.context_bytes), cost.contexts_within(PIECE_S))
-        return cls(max(ROWS_AT_ONCE, pushes - pushes % ROWS_AT_ONCE), max(1, contexts))
 
 
 def predict_in_pieces(
@@ -47,7 +24,7 @@ def predict_in_pieces(
         PredictionError: the runtime failed.
         DeadlineError: see ``service.turns.pause``.
     """
-    limits = PieceLimits.of(model)
+    limits = PieceLimits.of(model.predictor.size, model.cost)
     if len(pushers) <= limits.pushes and (tensor is None or len(tensor) <= limits.contexts):
         return model.predictor.predict(pushers, tensor, index)
     mean, std = np.empty_like(pushers), np.empty_like(pushers)

@@ -15,12 +15,14 @@ import onnxruntime
 from service.errors import BrokenModelError, PredictionError
 from service.model.tensors import FloatArray, GraphSize, IndexArray, Tensor
 from service.model.trial import try_out
+from service.processors import processors
 from service.turns import TURN, ending
 
 # onnxruntime computes the sines of four numbers at once, and those of the remainder with other instructions, which
 # round differently. Rows are padded to a multiple of four, so a row gets the same bits beside any other rows.
 ROWS_AT_ONCE: Final = 4
 _FIRST_CONTEXT: Final = np.zeros(ROWS_AT_ONCE, dtype=np.int64)
+CALL_BYTES: Final = 128 << 20  # of the intermediate tensors of one call, with room for the largest that is accepted
 _TYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 
 
@@ -128,17 +130,20 @@ class OnnxPredictor:
 def _shared_memory() -> None:
     """Create the memory arena of this process. With one of its own, each version would keep that of its largest call.
 
-    onnxruntime has one environment per process, so this is called once.
+    Its size is limited, as the last bound for a graph whose tensors grow in a way that no check foresaw: the call
+    fails. Weights lie elsewhere. onnxruntime has one environment per process, so this is called once.
     """
     place = onnxruntime.OrtMemoryInfo(
         "Cpu", onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, onnxruntime.OrtMemType.DEFAULT
     )
-    onnxruntime.create_and_register_allocator(place, None)
+    most = (processors() + 2) * CALL_BYTES
+    onnxruntime.create_and_register_allocator(place, onnxruntime.OrtArenaCfg(most, -1, -1, -1))
 
 
 def _share_memory(options: onnxruntime.SessionOptions) -> None:
     _shared_memory()
     options.add_session_config_entry("session.use_env_allocators", "1")
+    options.add_session_config_entry("session.use_device_allocator_for_initializers", "1")
 
 
 def _is_gaussian(mean: FloatArray, std: FloatArray) -> bool:

@@ -25,7 +25,9 @@ import numpy as np
 
 from service.errors import BrokenModelError, PredictionError
 from service.model.onnx_graph import inspect_graph
+from service.model.piece_limits import PIECE_S, PieceLimits
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor
+from service.model.push_cost import PushCost
 from service.model.tensors import GraphSize, Tensor
 from service.model.trial import OUT_OF_MEMORY
 
@@ -37,6 +39,7 @@ BYTES_PER_S: Final = 8 << 20
 MAX_LOAD_S: Final = 0.5  # processor time of a load, which holds other threads up, and a second more for each such part:
 LOADED_PER_S: Final = 64 << 20
 MAX_PUSH_S: Final = 0.1  # processor time of one push
+MAX_PIECE_S: Final = 5 * PIECE_S  # processor time of the largest piece, which takes PIECE_S by the time of a push
 
 
 def main() -> None:
@@ -80,7 +83,11 @@ def _answer(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -
         predictor = OnnxPredictor(model, inputs, outputs, tried=size)
         load_s = time.process_time() - began
         _check_time("loading it", load_s, MAX_LOAD_S + len(model) / LOADED_PER_S)
-        _check_time("a push", _push_s(predictor, inputs), MAX_PUSH_S)
+        push_s = _call_s(predictor, inputs, ROWS_AT_ONCE, 1)
+        _check_time("a push", push_s, MAX_PUSH_S)
+        largest = PieceLimits.of(size, PushCost(ROWS_AT_ONCE, 1, push_s))
+        piece_s = _call_s(predictor, inputs, largest.pushes, min(largest.contexts, largest.pushes))
+        _check_time(f"a call of {largest.pushes} pushes", piece_s, MAX_PIECE_S)
     except BrokenModelError as error:
         fault = str(error)
     except (MemoryError, PredictionError):
@@ -97,17 +104,21 @@ def _check_time(part: str, seconds: float, most: float) -> None:
         )
 
 
-def _push_s(predictor: OnnxPredictor, inputs: Sequence[Tensor]) -> float:
-    """Predict one push twice, and return the processor time of the second time. The first also allocates."""
+def _call_s(predictor: OnnxPredictor, inputs: Sequence[Tensor], pushes: int, contexts: int) -> float:
+    """Predict some pushes of some contexts twice, and return the processor time of the second time.
+
+    The first time also allocates. A graph may take more than evenly more time or memory for more pushes.
+    """
     rng = np.random.default_rng(0)
-    rows, *contexts = (
-        rng.normal(0.0, 0.1, [ROWS_AT_ONCE, *map(int, tensor.shape[1:])]).astype(np.float32) for tensor in inputs[:2]
+    rows, *context = (
+        rng.normal(0.0, 0.1, [count, *map(int, tensor.shape[1:])]).astype(np.float32)
+        for count, tensor in zip((pushes, contexts), inputs, strict=False)
     )
-    context, index = (contexts[0][:1], np.zeros(ROWS_AT_ONCE, dtype=np.int64)) if contexts else (None, None)
+    index = np.arange(pushes) % contexts if context else None
     for _ in range(2):
         began = time.process_time()
         try:
-            predictor.predict(rows, context, index)
+            predictor.predict(rows, context[0] if context else None, index)
         except PredictionError as error:
             if error.__cause__ is not None:  # the runtime failed. An answer that is no Gaussian took as long as one
                 raise

@@ -257,6 +257,43 @@ def slow_push() -> ModelProto:
     )
 
 
+def slow_piece() -> ModelProto:
+    """Convolve all rows with themselves: a push is fast, and the time grows with the square of the rows."""
+    return used(
+        with_nodes(
+            helper.make_node("MatMul", ["pusher", "wide"], ["widened"]),
+            helper.make_node("Reshape", ["widened", "flat"], ["signal"]),
+            helper.make_node("MatMul", ["pusher", "half"], ["halved"]),
+            helper.make_node("Reshape", ["halved", "flat"], ["weight"]),
+            helper.make_node("Conv", ["signal", "weight"], ["all"]),
+            helper.make_node("ReduceMax", ["all"], ["result"], keepdims=0),
+            constants={
+                "wide": np.ones((3, 64), dtype=np.float32),
+                "half": np.full((3, 32), 1e-6, dtype=np.float32),
+                "flat": np.array([1, 1, -1], dtype=np.int64),
+            },
+        ),
+        "result",
+    )
+
+
+def sizes_from_a_table() -> ModelProto:
+    """Expand a number to a size that a table gives for the number of rows: small for few, and huge for a piece."""
+    table = np.arange(2000, dtype=np.int64)
+    table[1000:] = 1 << 29
+    return used(
+        with_nodes(
+            helper.make_node("Shape", ["pusher"], ["shape"]),
+            helper.make_node("Gather", ["shape", "first"], ["rows"]),
+            helper.make_node("Gather", ["table", "rows"], ["size"]),
+            helper.make_node("Expand", ["tenth", "size"], ["huge"]),
+            helper.make_node("ReduceMax", ["huge"], ["result"], keepdims=0),
+            constants={"first": np.array([0], dtype=np.int64), "table": table},
+        ),
+        "result",
+    )
+
+
 def slow_load() -> ModelProto:
     """Multiply each row by one matrix, 400 times. onnxruntime arranges it anew for each while it loads."""
     chain = [helper.make_node("MatMul", [f"s{place}", "square"], [f"s{place + 1}"]) for place in range(400)]
@@ -354,6 +391,8 @@ ATTACKS: dict[str, tuple[Callable[[], ModelProto], str]] = {
     "many expansions": (many_expansions, "bytes of computed constants, more than"),
     "many live tensors": (many_live_tensors, "bytes of tensors per row, more than"),
     "slow push": (slow_push, "a push takes .* s of processor time; at most"),
+    "slow piece": (slow_piece, "a call of 1024 pushes takes .* s of processor time; at most|more processor time than"),
+    "sizes from a table": (sizes_from_a_table, "not in the memory that is allowed"),
     "slow load": (slow_load, "loading it takes .* s of processor time; at most|memory that is allowed"),
     "long names": (long_names, "bytes beside its tensors, more than 4194304"),
     "gathered rows": (gathered_rows, "elements per row, more than 1048576"),

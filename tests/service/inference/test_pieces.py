@@ -6,22 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from service.inference.pieces import (
-    MAX_CONTEXTS,
-    MAX_PUSHES,
-    PIECE_BYTES,
-    PIECE_S,
-    PieceLimits,
-    predict_in_pieces,
-)
+from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
+from service.model.piece_limits import MAX_CONTEXTS, MAX_PUSHES, PIECE_BYTES, PIECE_S, PieceLimits
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor, Predictor
 from service.model.push_cost import PushCost
 from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
 from service.registry.loading import load_version
 from service.registry.registry import Registry
-from tests.fakes import FakePredictor, draft_manifest
+from tests.fakes import FakePredictor
 
 SIZES = [(1, 1), (5, 1), (1024, 64), (1025, 1), (1500, 65), (3000, 7), (2500, 2500), (3, 900)]  # pushes and contexts
 
@@ -83,7 +77,7 @@ def test_pieces_are_bounded_and_give_the_same_bits(
 
     whole = recording.predictor.predict(*asked)
     assert [part.tobytes() for part in found] == [part.tobytes() for part in whole]
-    limits = PieceLimits.of(model)
+    limits = PieceLimits.of(model.predictor.size, model.cost)
     assert all(rows <= limits.pushes and objects <= limits.contexts for rows, objects in recording.calls)
     assert sum(rows for rows, _ in recording.calls) == pushes
     distinct = 0 if asked[2] is None else len(set(asked[2].tolist()))
@@ -93,7 +87,7 @@ def test_pieces_are_bounded_and_give_the_same_bits(
 
 def limits_of(size: GraphSize, cost: PushCost) -> PieceLimits:
     """Return the limits for a graph of this size and cost."""
-    return PieceLimits.of(LoadedModel(draft_manifest(), "", FakePredictor(b"", True, size=size), cost))
+    return PieceLimits.of(size, cost)
 
 
 @pytest.mark.parametrize(
