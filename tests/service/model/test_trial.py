@@ -124,6 +124,28 @@ def test_a_trial_process_knows_no_secret_and_writes_no_file(tmp_path: Path, monk
     trials.close()
 
 
+@pytest.mark.parametrize("kind", ["RLIMIT_CPU", "RLIMIT_DATA"])
+def test_a_limit_that_the_operator_set_is_kept(kind: str) -> None:
+    """Under a limit of the system, such as LimitDATA= of systemd, graphs are tried. The limit is never raised."""
+    most = 1 << 40
+    code = (
+        f"import resource; resource.setrlimit(resource.{kind}, ({most}, {most}))\n"
+        "def lower(kind, limits, real=resource.setrlimit):\n"
+        "    assert limits[1] <= resource.getrlimit(kind)[1], 'only a privileged process may raise it'\n"
+        "    real(kind, limits)\n"
+        "resource.setrlimit = lower\n"
+        "from service.model.trial_process import main; main()"
+    )
+    trials = Trials(["-c", code])
+    assert trials.result(VALID, *TENSORS).row_bytes == 24
+    process = trials._process
+    assert process is not None
+    soft, hard = resource.prlimit(process.pid, getattr(resource, kind))
+    assert hard == most
+    assert soft < 600 << 20
+    trials.close()
+
+
 def test_a_trial_process_ends_when_its_parent_does() -> None:
     """A process whose input is closed ends at once, so it does not outlive a parent that was killed."""
     trials = Trials()
