@@ -148,10 +148,15 @@ class LoadedModels:
         problems = [f"{name}/{place}: {cause}" for place, cause in state.faults.items()]
         missing = {version for version in served.versions if version not in state.versions | state.removed}
         unnamed = {alias for alias in served.aliases if alias not in state.aliases}
-        record = History()
+        record, is_unknown = History(), False
         if missing or unnamed or DEFAULT_ALIAS not in state.aliases:
-            with contextlib.suppress(CazslError):  # an unreadable record removes nothing
+            try:
                 record = self._registry.history(name)
+            except CazslError as error:  # an unreadable record removes nothing
+                is_unknown = True
+                problems.append(f"{name}/history: {error}")
+        if not (state.versions or state.removed or record.events or problems):
+            problems.append(f"{name} has neither a version nor a history")
         lost = missing - record.intended().removed
         kept = {alias: served.aliases[alias] for alias in unnamed if not record.gave_up(alias)}
         problems += [f"{name}@{version} has vanished without being removed and stays served" for version in lost]
@@ -178,7 +183,7 @@ class LoadedModels:
                 versions[before] = served.versions[before]
                 aliases[alias] = before
                 problems.append(f"{name}@{alias} should be {version}; {before} stays served")
-        recorded = _champion_is_recorded(state, record)
+        recorded = is_unknown or _champion_is_recorded(state, record)
         if recorded and DEFAULT_ALIAS not in wanted and not problems:
             problems.append(f"{name}@{DEFAULT_ALIAS} is recorded in the history, but has vanished")
         return ServedModel(versions, aliases, problems, recorded)

@@ -61,7 +61,11 @@ def _examine_history(name: str, state: ModelState, history: History) -> Iterator
         torn = history.torn_bytes > 0 and number == len(history.problems)
         advice = "the next change cuts it off" if torn else "compare it with a backup; new lines continue from its end"
         yield RegistryFinding(f"{name}/history", problem, advice, severe=not torn)
-    for event in unrecorded(history.state(), state):
+    changes = unrecorded(history.state(), state)
+    if len(changes) > 1 and not history.problems:  # an interrupted writer leaves one
+        wrong = f"{len(changes)} changes are missing, so lines were cut off, or files were changed by hand"
+        yield RegistryFinding(f"{name}/history", wrong, "compare it with a backup; the next change records them")
+    for event in changes:
         change = f"{event.what} from {event.before} to {event.to} is not in the history"
         yield RegistryFinding(f"{name}/history", change, "the next change records it", severe=False)
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Final, Self
 
+from service.errors import BrokenModelError
 from service.storage.events import (
     ALIASES,
     INTERRUPTED,
@@ -56,6 +57,8 @@ __all__ = [
 
 _NO_HASH: Final = hashlib.sha256().hexdigest()
 _HEAD: Final = re.compile(rb"([0-9]{1,9}) ([0-9a-f]{64})\n")
+MAX_LINES: Final = 1 << 18
+MAX_PROBLEMS: Final = 100  # that are listed. The others are counted
 CHAINED_SINCE: Final = datetime(2026, 11, 23, tzinfo=UTC)  # older lines may have no ``previous``
 
 
@@ -96,7 +99,12 @@ class History:
         """Parse a history, verify its chain and compare it with its recorded end. List the faults.
 
         Lines after the recorded end are no fault: a writer was interrupted before it recorded them.
+
+        Raises:
+            BrokenModelError: there are more than ``MAX_LINES`` lines.
         """
+        if content.count(b"\n") > MAX_LINES:
+            raise BrokenModelError(f"the history has more than {MAX_LINES} lines")
         *lines, torn = content.split(b"\n")
         events: list[Event] = []
         problems: list[str] = []
@@ -126,6 +134,8 @@ class History:
             cut = f"the last line is not line {head.length} as it was recorded: lines were cut off or changed"
         elif head is None and any(event.number is not None for event in events):
             cut = "the record of its last line is missing, so lines may have been cut off"
+        if len(problems) > MAX_PROBLEMS:
+            problems[MAX_PROBLEMS:] = [f"{len(problems) - MAX_PROBLEMS} more faults"]
         if cut is not None:
             problems.append(cut)
         if torn:

@@ -70,6 +70,15 @@ def test_torn_line_is_no_severe_fault(registry: Registry) -> None:
     ]
 
 
+def test_a_history_that_was_emptied_is_severe(registry: Registry) -> None:
+    """An interrupted writer leaves one change without a line. More of them show that lines were taken out."""
+    (registry.root / NAME / "history.head").unlink()
+    (registry.root / NAME / "history.jsonl").write_bytes(b"")
+    found = [finding for finding in examine(registry, load_fake) if finding.where == f"{NAME}/history"]
+    assert [finding.severe for finding in found] == [True, False, False, False]
+    assert found[0].wrong.startswith("3 changes are missing, so lines were cut off")
+
+
 def test_broken_chain_is_severe(registry: Registry) -> None:
     """A changed line of a history is severe, because the chain breaks after it."""
     path = registry.root / NAME / "history.jsonl"

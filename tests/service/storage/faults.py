@@ -11,6 +11,7 @@ import obstore
 from obstore.store import S3Store
 
 from service.registry.registry import Registry
+from service.storage.base import MAX_HISTORY_BYTES
 from service.storage.folder_storage import FolderStorage
 from tests.s3_server import BUCKET
 
@@ -29,6 +30,12 @@ def replaced(registry: Registry, *parts: str) -> Path:
     path = path_of(registry, *parts)
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     os.utime(path_of(registry, parts[0])) if len(parts) > 1 else None
+    return path
+
+
+def enlarge(path: Path) -> Path:
+    """Make a history larger than is read. The bytes are a hole, which takes no space."""
+    os.truncate(path, MAX_HISTORY_BYTES + 1)
     return path
 
 
@@ -109,6 +116,10 @@ BUCKET_FAULTS: Final[Mapping[str, Harm]] = {
 FOLDER_LOSSES: Final[Mapping[str, Harm]] = {
     "alias": lambda registry, name: replaced(registry, name, "aliases", "champion"),
     "aliases": lambda registry, name: replaced(registry, name, "aliases"),
+    "alias, beside a history that is too large": lambda registry, name: [
+        replaced(registry, name, *CHAMPION),
+        enlarge(path_of(registry, name, "history.jsonl")),
+    ],
     "aliases and history": lambda registry, name: [
         replaced(registry, name, part) for part in ("aliases", "history.jsonl", "history.head")
     ],

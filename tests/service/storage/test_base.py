@@ -393,6 +393,17 @@ def test_new_process_is_not_ready_without_a_recorded_default_model(
         assert ready.json()["problems"]
 
 
+@pytest.mark.parametrize(("kind", "loss"), [("folder", "content of the model"), ("bucket", "state and history")])
+def test_a_model_that_lost_its_record_is_named_by_a_new_process(
+    kind: str, loss: str, two_models: Registry, places: Place
+) -> None:
+    """A folder with neither versions nor a history is a problem of its model, also for a process that starts later."""
+    (FOLDER_LOSSES if kind == "folder" else BUCKET_LOSSES)[loss](two_models, NAME)
+    fresh = LoadedModels(places("models"), load_fake)
+    fresh.refresh()
+    assert fresh.snapshot.problems == (f"{NAME} has neither a version nor a history",)
+
+
 @pytest.fixture
 def kind(request: pytest.FixtureRequest) -> str:
     """Return the kind of storage, for tests that need no faults of its own."""

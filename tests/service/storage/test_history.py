@@ -9,8 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from service.errors import BrokenModelError
 from service.storage.history import (
     CHAINED_SINCE,
+    MAX_LINES,
+    MAX_PROBLEMS,
     NO_HEAD,
     PUBLISH,
     REMOVE,
@@ -178,6 +181,15 @@ def test_torn_last_line_is_reported_and_the_others_are_kept() -> None:
         history = History.parse(content[:-cut])
         assert len(history.events) == len(EVENTS) - 1
         assert history.problems[-1:] == () if history.torn_bytes == 0 else "torn" in history.problems[-1]
+
+
+def test_many_faults_are_counted_and_too_many_lines_are_refused() -> None:
+    """A file of short lines costs bounded time and memory: its first faults are listed, and too many lines refused."""
+    problems = History.parse(b"\n" * (MAX_PROBLEMS + 5)).problems
+    assert len(problems) == MAX_PROBLEMS + 1
+    assert problems[-1] == "5 more faults"
+    with pytest.raises(BrokenModelError, match=f"more than {MAX_LINES} lines"):
+        History.parse(b"\n" * (MAX_LINES + 1))
 
 
 @given(st.binary(max_size=200))
