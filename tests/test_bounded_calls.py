@@ -13,7 +13,7 @@ from PIL import Image
 
 from service.app import create_app
 from service.inference.loaded_models import LoadedModels
-from service.model.piece_limits import MAX_CONTEXTS, MAX_PUSHES
+from service.model.push_cost import MAX_CONTEXTS, MAX_PUSHES
 from service.model.tensors import ContextKind, FloatArray
 from service.pushing.contexts import VISUAL_SIZE, ObjectContext
 from service.pushing.poses import DoubleArray

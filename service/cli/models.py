@@ -189,6 +189,8 @@ def history(name: str, as_json: bool, registry: str) -> None:
 
 def _event_text(event: Event) -> str:
     moved = [str(version) for version in (event.before, event.to) if version is not None]
+    if event.alias is not None and event.to is None:
+        moved.append("none")
     return f"{event.what} {' -> '.join(moved)}".rstrip() + (f"  ({event.reason})" if event.reason else "")
 
 

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from service.model.loaded_model import LoadedModel
-from service.model.piece_limits import PieceLimits
+from service.model.push_cost import PieceLimits
 from service.model.tensors import FloatArray, IndexArray
 from service.turns import pause
 

@@ -25,9 +25,8 @@ import numpy as np
 
 from service.errors import BrokenModelError, PredictionError
 from service.model.onnx_graph import inspect_graph
-from service.model.piece_limits import PIECE_S, PieceLimits
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor
-from service.model.push_cost import PushCost
+from service.model.push_cost import PIECE_S, PieceLimits, PushCost
 from service.model.tensors import GraphSize, Tensor
 from service.model.trial import OUT_OF_MEMORY
 

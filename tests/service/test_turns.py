@@ -11,7 +11,7 @@ from service.api.v1.object_contexts import encode_contexts
 from service.errors import DeadlineError
 from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
-from service.model.piece_limits import MAX_CONTEXTS, MAX_PUSHES
+from service.model.push_cost import MAX_CONTEXTS, MAX_PUSHES
 from service.model.tensors import ContextKind
 from service.schemas.contexts import IMAGE_EXAMPLE, ContextBody
 from service.turns import TURN, ending, pause

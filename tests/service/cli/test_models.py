@@ -86,6 +86,16 @@ def test_diff_prints_differing_fields_side_by_side(root: Path, project_root: Pat
     assert run(root, "diff", f"{NAME}@1", f"{NAME}@9").exit_code == 5
 
 
+def test_history_tells_a_dropped_alias_from_one_that_is_set(root: Path) -> None:
+    """The line of an alias that was dropped says that it names no version. The line of its setting does not."""
+    registry = Registry(root)
+    registry.point_alias(NAME, "canary", 1)
+    registry.drop_alias(NAME, "canary")
+    *_, was_set, dropped = run(root, "history", NAME).output.splitlines()
+    assert was_set.endswith("alias canary 1")
+    assert dropped.endswith("alias canary 1 -> none")
+
+
 def test_tampered_history_has_exit_status_1(root: Path) -> None:
     """A changed line in a history is reported with its line number, and the exit status is 1."""
     force(root, 2)

@@ -8,9 +8,8 @@ import pytest
 
 from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
-from service.model.piece_limits import MAX_CONTEXTS, MAX_PUSHES, PIECE_BYTES, PIECE_S, PieceLimits
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor, Predictor
-from service.model.push_cost import PushCost
+from service.model.push_cost import MAX_CONTEXTS, MAX_PUSHES, PIECE_BYTES, PIECE_S, PieceLimits, PushCost
 from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
 from service.registry.loading import load_version
