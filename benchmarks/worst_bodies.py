@@ -13,7 +13,8 @@ from typing import Any, Final
 
 MARK: Final = "Zq7mark"
 """A text in every name and text that is sent. No answer may repeat it."""
-HEAD_BYTES: Final = 60 * 1024  # of a target or a header: 64 KiB are the limit of a head
+HEADER_BYTES: Final = 15 * 1024  # 16 KiB are the limit of a head
+TARGET_BYTES: Final = 3900  # 4 KiB are the limit
 BOUNDARY: Final = "worst"
 _PLACEHOLDER: Final = "worst value"
 _JSON: Final = {"Content-Type": "application/json"}
@@ -42,11 +43,11 @@ _UNITS: Final[dict[str, tuple[bytes, bytes, bytes]]] = {
 }
 _MAX_VALUES, _MAX_CONTAINERS, _MAX_TEXTS = 490_000, 59_000, 59_000
 _PARAMETERS: Final = {
-    "a long text": MARK.encode() * (HEAD_BYTES // len(MARK)),
-    "digits": b"9" * HEAD_BYTES,
-    "escapes": b"%F0%9F%98%80" * (HEAD_BYTES // 12),
-    "half a character": b"%ff" * (HEAD_BYTES // 3),
-    "references": b"a@" * (HEAD_BYTES // 2),
+    "a long text": MARK.encode() * (TARGET_BYTES // len(MARK)),
+    "digits": b"9" * TARGET_BYTES,
+    "escapes": b"%F0%9F%98%80" * (TARGET_BYTES // 12),
+    "half a character": b"%ff" * (TARGET_BYTES // 3),
+    "references": b"a@" * (TARGET_BYTES // 2),
 }
 _HEADERS: Final = (
     "Accept", "Accept-Encoding", "Authorization", "Content-Encoding", "Content-Type", "Cookie", "Expect", "Host",
@@ -118,7 +119,7 @@ def _heads(path: str, method: str, operation: dict[str, Any]) -> Iterator[WorstR
         yield WorstRequest(path, f"query: {kind}", method, _target(path) + b"?" + MARK.encode() + b"=" + value, _JSON)
     for name in _HEADERS:
         for kind, text in (("a long text", MARK), ("digits", "9"), ("parts", "a/b;q=0.1,")):
-            headers = _JSON | {name: text * (HEAD_BYTES // len(text))}
+            headers = _JSON | {name: text * (HEADER_BYTES // len(text))}
             yield WorstRequest(path, f"header {name}: {kind}", method, _target(path), headers)
 
 

@@ -103,7 +103,10 @@ class Service(FastAPI):
 
     def openapi(self) -> dict[str, Any]:
         """Return the OpenAPI document, which is made once."""
-        return give_examples(open_inference.describe_infer(state_media_type(super().openapi())))
+        if self.openapi_schema is None:
+            made = give_examples(open_inference.describe_infer(state_media_type(super().openapi())))
+            self.openapi_schema = made
+        return self.openapi_schema
 
 
 def create_app(
@@ -138,7 +141,7 @@ def create_app(
         servers=servers(settings.root_path),
         redirect_slashes=False,  # a redirect would repeat the host in the request
     )
-    admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys))
+    admission = Admission(FastPath(app.framework, endpoints), _limits(settings), Callers(keys), endpoints.turns)
     app.requests = RequestMetrics(lambda name, version: (name, version) in models.snapshot.models)
     telemetry = RequestTelemetry(admission, problem_response, log, app.requests)
 

@@ -19,6 +19,7 @@ import pytest
 from httpx2 import Client
 from PIL import Image
 
+from service.connections.framing import MAX_HEADERS, MAX_TARGET_BYTES
 from service.connections.head_clock import MAX_HEAD_BYTES
 from service.inference.loaded_models import LoadedModels
 from service.model.predictor import OnnxPredictor, PredictorFactory
@@ -210,6 +211,8 @@ RAW_REQUESTS: list[tuple[Situation, str, str, bytes]] = [
     (short_timeouts, "slow_body", "/v2/models/{name}/infer", HEAD % INFER.encode() + b"Content-Length: 2\r\n\r\n{"),
     (short_timeouts, "malformed_request", "", b"predict, please\r\n\r\n"),
     (short_timeouts, "head_too_large", "", b"GET /livez HTTP/1.1\r\nX: " + b"a" * MAX_HEAD_BYTES),
+    (short_timeouts, "head_too_large", "", b"GET /livez HTTP/1.1\r\n" + b"a: b\r\n" * (MAX_HEADERS + 1) + b"\r\n"),
+    (short_timeouts, "head_too_large", "", b"GET /" + b"a" * MAX_TARGET_BYTES + b" HTTP/1.1\r\nHost: a\r\n\r\n"),
     (short_timeouts, "no_such_route", "", b"GET /v1/other HTTP/1.1\r\nHost: localhost\r\n\r\n"),
     (short_timeouts, "method_not_allowed", "", b"DELETE /v1/models HTTP/1.1\r\nHost: localhost\r\n\r\n"),
 ]

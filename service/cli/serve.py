@@ -57,6 +57,7 @@ def serve(**options: Any) -> None:
     trace, send_spans = _tracing(settings.otlp_endpoint)
     raise_descriptors(settings.max_connections)
     app = create_app(settings, models, RequestLog(log), trace)
+    app.openapi()  # the first request for it would hold the event loop for a tenth of a second
     _greet(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
     # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.
     signal.signal(signal.SIGTERM, lambda *_: None)

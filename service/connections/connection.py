@@ -18,6 +18,8 @@ import httptools
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
 
 from service.connections.framing import (
+    MAX_HEADERS,
+    MAX_TARGET_BYTES,
     ChunkedBody,
     end_of_head,
     expects_100,
@@ -67,8 +69,8 @@ class BoundedConnection(ConnectionLifecycle):
         self._clock.begin()
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Keep a header. What follows the body is a trailer, and never a header."""
-        if not self._is_in_body:
+        """Keep a header, and one more than are accepted. Behind the body are trailers, and never headers."""
+        if not self._is_in_body and len(self.headers) <= MAX_HEADERS:
             self.headers.append((name.lower(), value.rstrip(b" \t")))  # llhttp leaves spaces at the end
 
     def on_headers_complete(self) -> None:
@@ -83,7 +85,11 @@ class BoundedConnection(ConnectionLifecycle):
         coding = fields.get(b"transfer-encoding")
         self._body_left = int(fields.get(b"content-length") or b"0")
         self._chunks = None
-        if version not in ("1.1", "1.0"):
+        if len(self.headers) > MAX_HEADERS:
+            self._refuse_large_head("headers", MAX_HEADERS)
+        elif len(self.url) > MAX_TARGET_BYTES:
+            self._refuse_large_head("bytes of the target", MAX_TARGET_BYTES)
+        elif version not in ("1.1", "1.0"):
             self._refuse(
                 HTTPStatus.HTTP_VERSION_NOT_SUPPORTED,
                 "malformed_request",
@@ -161,12 +167,7 @@ class BoundedConnection(ConnectionLifecycle):
             part = data if end < 0 else data[:end]
             self._before = straddling(self._before, data) if end < 0 else b""
         if self._clock.add(len(part)):
-            self._refuse(
-                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
-                "head_too_large",
-                f"head: received more than {MAX_HEAD_BYTES} bytes of request line and headers; "
-                f"accepted is up to {MAX_HEAD_BYTES} bytes",
-            )
+            self._refuse_large_head("bytes of request line and headers", MAX_HEAD_BYTES)
         else:
             self._feed(part)
         return data[len(part) :]
@@ -209,6 +210,10 @@ class BoundedConnection(ConnectionLifecycle):
         """Read a complete head again, without its offer of another protocol. llhttp leaves its body unread."""
         parser, self.parser = self.parser, httptools.HttpRequestParser(self)
         self._feed(head_without_upgrade(parser.get_method(), self.url, parser.get_http_version(), self.headers))
+
+    def _refuse_large_head(self, things: str, limit: int) -> None:
+        detail = f"head: received more than {limit} {things}; accepted are up to {limit}"
+        self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head_too_large", detail)
 
     def _begin_request(self) -> None:
         """Pass the request to the application, which reads its body."""

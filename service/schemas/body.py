@@ -117,7 +117,7 @@ def _fault(found: Mapping[str, Any], prefix: tuple[str, ...]) -> FieldFault:
     if kind in ("too_short", "too_long") and "actual_length" in context:
         wanted = f"at least {context['min_length']}" if kind == "too_short" else f"at most {context['max_length']}"
         return FieldFault(".".join(path), f"{context['actual_length']} values", wanted)
-    accepted = _ACCEPTED.get(kind, message.removeprefix("Input should be "))
+    accepted = _ACCEPTED.get(kind, message.removeprefix("Input should be ").removeprefix("String should have "))
     return FieldFault(".".join(path), _describe(found.get("input")), accepted)
 
 

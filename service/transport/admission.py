@@ -14,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.errors import BodyTooLargeError, CazslError, OverloadedError, SlowBodyError, TooManyRequestsError
 from service.transport.callers import Callers
 from service.transport.heads import checked_headers, declared_length, head_bytes
+from service.transport.loop_turns import LoopTurns
 from service.transport.problems import problem_response
 from service.transport.shares import Shares, usual_share
 
@@ -167,12 +168,13 @@ class Admission:
         body_s: maximum time until a body is complete, in s.
     """
 
-    def __init__(self, app: ASGIApp, limits: AdmissionLimits, callers: Callers) -> None:
+    def __init__(self, app: ASGIApp, limits: AdmissionLimits, callers: Callers, turns: LoopTurns | None = None) -> None:
         self._app = app
         self._callers = callers
         self.body_bytes = limits.body_bytes
         self.body_s = limits.body_s
         self._deadline = BodyDeadline(limits.body_s)
+        self._turns = turns or LoopTurns()
         self._in_flight = Shares(
             limits.in_flight,
             limits.in_flight_per_caller or usual_share(limits.in_flight),
@@ -225,6 +227,8 @@ class Admission:
                 await problem_response(scope, error)(scope, receive, send)
                 return
             try:
+                if not is_health:
+                    await self._turns.wait()
                 await self._app(scope, WholeBody(content, receive), admitted)
             finally:
                 admitted.end()

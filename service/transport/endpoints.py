@@ -17,6 +17,7 @@ from service.inference.loaded_models import LoadedModels
 from service.inference.micro_batching import CALL_S, MicroBatcher
 from service.inference.query import Answer, Query
 from service.inference.snapshot import Snapshot
+from service.transport.loop_turns import LoopTurns
 from service.transport.threads import ThreadPool
 from service.turns import pause
 
@@ -106,6 +107,7 @@ class Endpoints:
 
     Attributes:
         micro_batcher: predicts the single pushes of each event loop iteration.
+        turns: of the requests that the event loop works on.
     """
 
     def __init__(self, endpoints: Iterable[Endpoint[Any]], models: LoadedModels, threads: ThreadPool) -> None:
@@ -114,6 +116,7 @@ class Endpoints:
         self._patterns = [(_pattern(path), endpoint) for path, endpoint in self._table.items() if "{" in path]
         self._models = models
         self._threads = threads
+        self.turns = LoopTurns()
         self.micro_batcher = MicroBatcher()
 
     def at(self, template: str) -> Endpoint[Any]:
@@ -159,7 +162,9 @@ class Endpoints:
         if len(asked.pushers) <= LIGHT_PUSHES and asked.seconds() <= CALL_S:
             return await self.micro_batcher.answer(asked) if weight is Weight.SINGLE else asked.answer()
         # Only the runtime goes to the thread: Python code needs the interpreter lock, and to exchange it costs time.
-        return asked.encode(*await run(asked.predict))
+        predicted = await run(asked.predict)
+        await self.turns.wait()
+        return asked.encode(*predicted)
 
     def query_single(self, endpoint: Endpoint[Any], request: HttpRequest) -> Query | None:
         """Return the query of a single push, to be submitted to the micro-batcher, or None if it needs a thread.

@@ -51,9 +51,7 @@ _UPLOADED: Final = (
     DeadlineError,
     *_AT_ONCE,
 )
-_BAD_NAME: Final = InvalidRequestError.at(
-    "path.name", "a text of 65 characters", "String should have at most 64 characters"
-)
+_BAD_NAME: Final = InvalidRequestError.at("path.name", "a text of 65 characters", "at most 64 characters")
 _LOOKED_UP: Final = (UnknownModelError, NotAcceptableError, _BAD_NAME, *_AT_ONCE)
 _PREDICTED: Final = (*_UPLOADED, UnknownModelError, ContextKindError, ModelNotReadyError, PredictionError, CazslError)
 

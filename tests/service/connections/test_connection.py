@@ -23,6 +23,7 @@ from starlette.types import Receive, Scope, Send
 
 from service.api.v1.endpoints import SINGLE
 from service.app import Service, create_app
+from service.connections.framing import MAX_HEADERS, MAX_TARGET_BYTES
 from service.connections.unsent import PairedWrites
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query
@@ -35,7 +36,7 @@ from service.settings import Settings
 from service.transport.admission import Admission, AdmissionLimits
 from service.transport.callers import Callers
 from service.transport.draining import CLOSE
-from service.transport.endpoints import LIGHT_BYTES, Endpoint, Endpoints, Weight
+from service.transport.endpoints import Endpoint, Endpoints, Weight
 from service.transport.fast_path import Shortcut
 from service.transport.keys import Keys
 from service.transport.problems import problem_response
@@ -359,7 +360,7 @@ UNUSUAL = {
     "a client that expects 100": post("/v1/predict", BODY, (TYPE, "expect: 100-continue")),
     "chunks": CHUNKED % (TYPE.encode(), len(BODY), BODY),
     "no body": post("/v1/predict", b""),
-    "a large body": post("/v1/predict", BODY + b" " * LIGHT_BYTES),
+    "a large body": post("/v1/predict", BODY + b" " * 2048),  # hundreds may be answered in one iteration
     "an image": post("/v1/predict", b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"image": "AAAA"}}'),
     "an escape, which may spell image": post("/v1/predict", BODY[:-1] + b', "context": {"\\u0069mage": "AAAA"}}'),
 }
@@ -370,6 +371,19 @@ REFUSED = {
     "a failing model": (post("/v1/predict", FAILING_BODY[:-1] + b', "context": {"descriptor": "1a2b3c4a"}}'), 500),
     "another kind of context": (post("/v1/predict", FAILING_BODY), 422),
 }
+
+
+@pytest.mark.parametrize(("headers", "target"), [(MAX_HEADERS, 100), (1, MAX_TARGET_BYTES)])
+def test_a_head_at_its_limits_is_accepted_and_one_over_them_is_not(
+    loop: asyncio.Runner, app: Service, headers: int, target: int
+) -> None:
+    """Many short headers and long targets cost far more than their bytes, so both have limits of their own."""
+    more = b"a: b\r\n"
+    for extra, expected in ((0, 404), (1, 431)):
+        path = b"/" + b"a" * (target - 1 + extra * (headers == 1))
+        lines = more * (headers - 1 + extra * (headers > 1))
+        sent = b"GET %b HTTP/1.1\r\nhost: test\r\n%b\r\n" % (path, lines)
+        assert status(exchange(loop, lambda: connect_to(app), sent)) == expected
 
 
 @pytest.mark.parametrize("name", UNUSUAL)

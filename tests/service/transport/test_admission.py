@@ -13,6 +13,7 @@ from service.observability.records import RequestRecord
 from service.transport.admission import HEALTH, Admission, AdmissionLimits
 from service.transport.callers import Callers
 from service.transport.keys import Keys
+from service.transport.loop_turns import LoopTurns
 
 ANYONE = Callers(Keys(None))
 PART: Message = {"type": "http.request", "body": b"x" * 100, "more_body": True}
@@ -296,5 +297,26 @@ def test_health_has_a_quota_of_its_own(path: str) -> None:
         assert (await send_messages(admission, [LAST], path=path))[0] == 200
         assert (await send_messages(admission, [{**PART, "body": bytes(5000)}], path=path))[0] == 413
         assert (admission.in_flight, admission.held_bytes) == (0, 0)
+
+    run(scenario)
+
+
+def test_requests_that_come_at_once_are_passed_on_in_turns() -> None:
+    """Each of many requests goes on in an iteration of its own once the time of one is used up. Health never waits."""
+
+    async def scenario() -> None:
+        """Send requests to an application that notes their order, and for health as the last."""
+        order: list[str] = []
+
+        async def app(scope: Scope, receive: Receive, send: Send) -> None:
+            """Note the path, and answer."""
+            order.append(scope["path"])
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            await send({"type": "http.response.body", "body": b"{}"})
+
+        ring = Admission(app, limits(in_flight=20, in_flight_per_caller=20), ANYONE, LoopTurns(0.0))
+        paths = [*(f"/v1/{number}" for number in range(9)), "/livez"]
+        await asyncio.gather(*(send_messages(ring, [LAST], path=path) for path in paths))
+        assert order == [paths[0], paths[-1], *paths[1:-1]]
 
     run(scenario)
