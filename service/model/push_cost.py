@@ -58,8 +58,8 @@ class PieceLimits:
     contexts: int
 
     @classmethod
-    def of(cls, size: GraphSize, cost: PushCost) -> "PieceLimits":
-        """Return the limits for a graph, by the size of its tensors and its measured time."""
-        pushes = min(MAX_PUSHES, PIECE_BYTES // max(1, size.row_bytes), cost.pushes_within(PIECE_S))
-        contexts = min(MAX_CONTEXTS, PIECE_BYTES // max(1, size.context_bytes), cost.contexts_within(PIECE_S))
+    def of(cls, size: GraphSize, cost: PushCost, seconds: float = PIECE_S) -> "PieceLimits":
+        """Return the limits for a graph, by the size of its tensors and its measured time, for a piece of this time."""
+        pushes = min(MAX_PUSHES, PIECE_BYTES // max(1, size.row_bytes), cost.pushes_within(seconds))
+        contexts = min(MAX_CONTEXTS, PIECE_BYTES // max(1, size.context_bytes), cost.contexts_within(seconds))
         return cls(max(ROWS_AT_ONCE, pushes - pushes % ROWS_AT_ONCE), max(1, contexts))

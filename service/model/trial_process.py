@@ -26,7 +26,7 @@ import numpy as np
 from service.errors import BrokenModelError, PredictionError
 from service.model.onnx_graph import inspect_graph
 from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor
-from service.model.push_cost import PIECE_S, PieceLimits, PushCost
+from service.model.push_cost import PieceLimits, PushCost
 from service.model.tensors import GraphSize, Tensor
 from service.model.trial import OUT_OF_MEMORY
 
@@ -40,7 +40,8 @@ MAX_LOAD_S: Final = 0.5  # processor time of a load, which holds other threads u
 LOADED_PER_S: Final = 64 << 20
 MAX_PUSH_S: Final = 0.1  # processor time of one push
 _CALLS: Final = 3
-MAX_PIECE_S: Final = 5 * PIECE_S  # processor time of the largest piece, which takes PIECE_S by the time of a push
+PIECE_S: Final = 0.5  # estimate for the largest call that is tried, by the time of a push
+MAX_RISE: Final = 4.0  # of the processor time of that call over the estimate, beside that of a push
 
 
 def main() -> None:
@@ -97,9 +98,11 @@ def _answer(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -
         _check_time("loading it", load_s, MAX_LOAD_S + len(model) / LOADED_PER_S)
         push_s = _call_s(predictor, inputs, ROWS_AT_ONCE, 1)
         _check_time("a push", push_s, MAX_PUSH_S)
-        largest = PieceLimits.of(size, PushCost(ROWS_AT_ONCE, 1, push_s))
-        piece_s = _call_s(predictor, inputs, largest.pushes, min(largest.contexts, largest.pushes))
-        _check_time(f"a call of {largest.pushes} pushes", piece_s, MAX_PIECE_S)
+        cost = PushCost(ROWS_AT_ONCE, 1, push_s)
+        largest = PieceLimits.of(size, cost, PIECE_S)
+        pushes, contexts = largest.pushes, min(largest.contexts, largest.pushes)
+        piece_s = _call_s(predictor, inputs, pushes, contexts)
+        _check_time(f"a call of {pushes} pushes", piece_s, MAX_PUSH_S + MAX_RISE * cost.seconds_of(pushes, contexts))
     except BrokenModelError as error:
         fault = str(error)
     except (MemoryError, PredictionError):
@@ -136,7 +139,7 @@ def _call_s(predictor: OnnxPredictor, inputs: Sequence[Tensor], pushes: int, con
             if error.__cause__ is not None:  # the runtime failed. An answer that is no Gaussian took as long as one
                 raise
         lowest = min(lowest, time.process_time() - began)
-        if lowest > MAX_PIECE_S:
+        if lowest > MAX_PUSH_S:  # known well enough
             break
     return lowest
 

@@ -59,7 +59,7 @@ _NO_HASH: Final = hashlib.sha256().hexdigest()
 _HEAD: Final = re.compile(rb"([0-9]{1,9}) ([0-9a-f]{64})\n")
 MAX_LINES: Final = 1 << 18
 MAX_PROBLEMS: Final = 100  # that are listed. The others are counted
-CHAINED_SINCE: Final = datetime(2026, 11, 23, tzinfo=UTC)  # older lines may have no ``previous``
+CHAINED_SINCE: Final = datetime(2026, 11, 24, tzinfo=UTC)  # older lines may have no ``previous``
 
 
 @dataclass(frozen=True)

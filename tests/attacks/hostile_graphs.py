@@ -268,8 +268,8 @@ def slow_piece() -> ModelProto:
             helper.make_node("Conv", ["signal", "weight"], ["all"]),
             helper.make_node("ReduceMax", ["all"], ["result"], keepdims=0),
             constants={
-                "wide": np.ones((3, 96), dtype=np.float32),
-                "half": np.full((3, 48), 1e-6, dtype=np.float32),
+                "wide": np.ones((3, 128), dtype=np.float32),
+                "half": np.full((3, 64), 1e-6, dtype=np.float32),
                 "flat": np.array([1, 1, -1], dtype=np.int64),
             },
         ),
