@@ -18,12 +18,14 @@ def read_file(path: Path, largest: int = SMALL_FILE) -> bytes:
     """Read a regular file of at most ``largest`` bytes.
 
     Raises:
-        OSError: the file is missing, is a folder, pipe or device, or is too large.
+        OSError: the file is missing, is a folder, pipe or device, has to be waited for, or is too large.
     """
     check_regular(path, path.stat().st_mode)  # before it is opened, which alone changes some devices
     with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as opened:  # noqa: PTH123 (a descriptor)
         check_regular(path, os.fstat(opened.fileno()).st_mode)
-        content = opened.read(largest + 1)
+        content: bytes | None = opened.read(largest + 1)
+    if content is None:  # as some files of /proc, which wait for their content
+        raise BlockingIOError(errno.EAGAIN, "no content that can be read at once", str(path))
     if len(content) > largest:
         raise OSError(errno.EFBIG, f"more than {largest} bytes", str(path))
     return content

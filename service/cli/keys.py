@@ -1,5 +1,6 @@
 """``cazsl keys``: create API keys, and check the file that holds them."""
 
+import errno
 import os
 import select
 import sys
@@ -50,12 +51,24 @@ def new_key(name: str, scopes: tuple[str, ...], path: Path | None) -> None:
     cazsl keys new robot-7 >> /etc/cazsl/keys
     """
     grant, key = Grant.new(name, frozenset(Scope(scope) for scope in scopes))
-    before = _content_without(name, path) if path is not None else b""
-    echo(f"API key (shown only now): {key}", err=True)
     if path is None:
+        _show(key)
         echo(grant.line())
-    else:
-        _append(path, ("\n" if before and not before.endswith(b"\n") else "") + grant.line() + "\n")
+        return
+    before = _content_without(name, path)
+    line = ("\n" if before and not before.endswith(b"\n") else "") + grant.line() + "\n"
+    # A new file is readable by its owner only.
+    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
+    try:
+        _show(key)  # before its line is in the file: a key that was not seen is of no use
+        if os.write(descriptor, line.encode()) < len(line):  # in one write, so that no reading finds a part
+            raise OSError(errno.ENOSPC, f"{os.strerror(errno.ENOSPC)}: the last line is not whole", str(path))
+    finally:
+        os.close(descriptor)
+
+
+def _show(key: str) -> None:
+    echo(f"API key (shown only now): {key}", err=True)
 
 
 @keys.command("list")
@@ -125,15 +138,6 @@ def _content_without(name: str, path: Path) -> bytes:
     if any(grant.name == name for grant in KeyFile.parse(content).grants.values()):
         raise SettingsError(f"{path}: has a key for {name} already. Send another name, or remove that line.")
     return content
-
-
-def _append(path: Path, line: str) -> None:
-    """Add a line in one write. A new file is readable by its owner only."""
-    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
-    try:
-        os.write(descriptor, line.encode())
-    finally:
-        os.close(descriptor)
 
 
 def _key_on_standard_input() -> bytes:

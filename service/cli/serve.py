@@ -9,7 +9,7 @@ import socket
 import sys
 import warnings
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import click
 import uvicorn
@@ -59,8 +59,7 @@ def serve(**options: Any) -> None:
     app = create_app(settings, models, RequestLog(log), trace)
     app.openapi()  # the first request for it would hold the event loop for a tenth of a second
     _greet(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
-    # After SIGTERM uvicorn finishes its requests and raises the signal again, which must not end in an error status.
-    signal.signal(signal.SIGTERM, lambda *_: None)
+    signal.signal(signal.SIGTERM, _stop)
     serving = _configured(app, app.connections, settings)
     others = []
     if settings.metrics_port is not None:
@@ -80,7 +79,13 @@ def serve(**options: Any) -> None:
     except BaseException:  # the log is the only place that the operator reads
         logger.critical("the server failed", exc_info=True)
         ending.leave(FAILED)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # the end is on its way
     ending.leave(0 if server.started else FAILED)
+
+
+def _stop(*_: object) -> NoReturn:
+    """End with success at SIGTERM before the server handles signals, and when it raises them again after its end."""
+    raise SystemExit(0)
 
 
 def _check_host(settings: Settings) -> None:

@@ -41,6 +41,20 @@ def test_anything_but_a_small_regular_file_is_refused(tmp_path: Path, kind: str)
     assert refused.value.strerror
 
 
+def test_a_file_without_content_to_read_at_once_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A file such as /proc/kmsg is a regular one, and has to be waited for."""
+    path = tmp_path / "file"
+    path.touch()
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+    mode = path.stat()
+    with monkeypatch.context() as patch, pytest.raises(BlockingIOError, match="at once"):
+        patch.setattr(os, "open", lambda *_: reading)
+        patch.setattr(os, "fstat", lambda _: mode)
+        read_file(path)
+    os.close(writing)
+
+
 def test_a_file_of_exactly_the_limit_is_read(tmp_path: Path) -> None:
     """The limit counts bytes, and the largest accepted file is read as a whole."""
     path = tmp_path / "file"

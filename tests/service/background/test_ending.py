@@ -185,6 +185,21 @@ def test_ctrl_c_ends_the_process_with_0(project_root: Path) -> None:
         assert process.returncode == 0
 
 
+EARLY = """
+import gc, os, signal
+from service.cli.main import main
+gc.{call} = lambda: os.kill(os.getpid(), signal.SIGTERM)
+main()
+"""
+
+
+@pytest.mark.parametrize("call", ["collect", "freeze"])
+def test_sigterm_before_the_server_handles_it_is_not_lost(project_root: Path, call: str) -> None:
+    """A service that is stopped while it starts ends with 0, and does not start all the same."""
+    with started(project_root, ["-c", EARLY.format(call=call), "serve"], subprocess.DEVNULL) as (process, _):
+        assert process.wait(PATIENCE_S) == 0
+
+
 END = """
 import {imports}
 from service.background.ending import Ending

@@ -249,6 +249,16 @@ def test_a_revoked_key_does_not_return_with_a_fault(path: Path) -> None:
     assert accepted(keys, stays, goes) == [True, False]
 
 
+def test_a_file_that_stays_the_same_is_not_parsed_again(path: Path) -> None:
+    """Ten thousand lines would hold the interpreter lock for 0.1 s, twice a second."""
+    grant(path, Scope.PREDICT)
+    first = KeyFile.read(path)
+    path.touch()
+    assert KeyFile.read(path, first) is first
+    grant(path, Scope.PREDICT, name="robot-8")
+    assert len(KeyFile.read(path, first).grants) == 2
+
+
 def test_an_empty_file_revokes_every_key(path: Path) -> None:
     """A file without a key is a good reading, and a problem because every request is refused. It starts a service."""
     key = grant(path, Scope.PREDICT)
@@ -314,6 +324,6 @@ def test_admission_returns_the_grant_of_the_key(path: Path) -> None:
 def test_a_grant_is_its_line_and_never_its_key() -> None:
     """A grant is parsed from its own line, which does not contain the key."""
     made, key = Grant.new("robot-7", frozenset(Scope))
-    assert KeyFile.parse(made.line().encode()) == KeyFile({made.sha256: made}, ())
+    assert KeyFile.parse(made.line().encode()) == KeyFile({made.sha256: made}, (), made.line().encode())
     assert key not in made.line()
     assert Grant.new("robot-7", frozenset(Scope))[1] != key
