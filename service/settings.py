@@ -12,8 +12,8 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
 PREFIX: Final = "CAZSL_"
-# Controls, separators of lines, and halves of characters, from bytes that are not UTF-8.
-NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+# Controls, separators of lines, a byte order mark, and halves of characters, from bytes that are not UTF-8.
+NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff\ud800-\udfff]")
 _LONGEST_TEXT: Final = 4096  # as long as a path may be
 _PREFIX_PATH: Final = re.compile(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)+")
 _ROUTES: Final = ("v1", "v2", "docs", "livez", "readyz", "metrics", "openapi.json")

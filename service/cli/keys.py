@@ -13,7 +13,7 @@ from service.cli.command_line import FILE, argument, errors_as_one_line, json_op
 from service.cli.configuration import configure
 from service.cli.terminal import FAILED, echo, print_json
 from service.errors import SettingsError
-from service.files import read_file
+from service.files import read_file, without_mark
 from service.transport.keys import Grant, KeyFile, Scope, digest_of
 
 _PATIENCE_S: Final = 1.0
@@ -149,4 +149,4 @@ def _key_on_standard_input() -> bytes:
         silent = not select.select([stream], [], [], _PATIENCE_S)[0]
     except (OSError, ValueError):  # no file of the system: it can be read at once
         silent = False
-    return b"" if silent else stream.readline(_LONGEST_KEY).strip()
+    return b"" if silent else without_mark(stream.readline(_LONGEST_KEY)).strip()

@@ -48,10 +48,11 @@ def test_a_file_without_content_to_read_at_once_is_refused(tmp_path: Path, monke
     reading, writing = os.pipe()
     os.set_blocking(reading, False)
     mode = path.stat()
-    with monkeypatch.context() as patch, pytest.raises(BlockingIOError, match="at once"):
+    with monkeypatch.context() as patch:
         patch.setattr(os, "open", lambda *_: reading)
         patch.setattr(os, "fstat", lambda _: mode)
-        read_file(path)
+        with pytest.raises(BlockingIOError, match="at once"):
+            read_file(path)
     os.close(writing)
 
 

@@ -59,7 +59,7 @@ def test_check_says_whose_a_key_is(tmp_path: Path) -> None:
     path = tmp_path / "keys"
     made = CliRunner().invoke(main, ["keys", "new", "robot-7", "--file", str(path)])
     key = made.stderr.split()[-1]
-    known = CliRunner().invoke(main, ["keys", "check", str(path)], input=f"{key}\n")
+    known = CliRunner().invoke(main, ["keys", "check", str(path)], input=f"\ufeff{key}\r\n")
     assert known.exit_code == 0
     assert "the key is that of robot-7, with predict" in known.output
     unknown = CliRunner().invoke(main, ["keys", "check", str(path)], input="other\n")
