@@ -37,6 +37,8 @@ def test_new_key_is_added_to_a_file_and_replaces_nothing(tmp_path: Path) -> None
     assert CliRunner().invoke(main, ["keys", "new", "robot-8", "--file", str(path)]).exit_code == 0
     taken = CliRunner().invoke(main, ["keys", "new", "robot-7", "--file", str(path)])
     assert (taken.exit_code, "API key" in taken.stderr) == (1, False)
+    nowhere = CliRunner().invoke(main, ["keys", "new", "robot-9", "--file", str(tmp_path / "missing" / "keys")])
+    assert (nowhere.exit_code, "API key" in nowhere.stderr) == (1, False)
     listed = json.loads(CliRunner().invoke(main, ["keys", "list", str(path), "--json"]).stdout)
     assert [key["name"] for key in listed] == ["robot-7", "robot-8"]
 
