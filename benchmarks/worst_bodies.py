@@ -26,6 +26,7 @@ _UNITS: Final[dict[str, tuple[bytes, bytes, bytes]]] = {
     "zeros": (b"[", b"0,", b"0]"),
     "numbers of 17 digits": (b"[", b"-0.12345678901234567,", b"0]"),
     "numbers of 25 digits": (b"[", b"7" * 25 + b",", b"0]"),
+    "numbers between two floats": (b"[", b"2.22507385850720113606e-308,", b"0]"),
     "numbers of 4,000 digits": (b"[", b"7" * 4000 + b",", b"0]"),
     "not finite": (b"[", b"NaN,", b"0]"),
     "nulls": (b"[", b"null,", b"null]"),

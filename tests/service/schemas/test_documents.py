@@ -10,7 +10,7 @@ import pytest
 from service.errors import InvalidRequestError, MalformedBodyError
 from service.schemas.body import parse_body
 from service.schemas.contexts import INDICATOR_EXAMPLE
-from service.schemas.documents import MAX_CONTAINERS, MAX_TEXTS, MAX_VALUES, SHORT_BYTES, parse_json
+from service.schemas.documents import MAX_CONTAINERS, MAX_LONG_NUMBERS, MAX_TEXTS, MAX_VALUES, SHORT_BYTES, parse_json
 from service.schemas.pushes import BatchRequest
 from service.schemas.rows import MAX_PUSHES
 
@@ -92,6 +92,16 @@ def test_a_document_at_a_limit_is_parsed_and_one_beyond_is_not() -> None:
         assert len(parse_json(b"[" + unit * limit + b"0]")) == limit + 1
         with pytest.raises(InvalidRequestError):
             parse_json(b"[" + unit * (limit + 1) + b"0]")
+
+
+@pytest.mark.parametrize("number", [b"2.22507385850720113606e-308", b"22250738585072011361E-327"])
+def test_numbers_between_two_floats_are_bounded(number: bytes) -> None:
+    """A number of many digits with an exponent takes ten times as long as others. Those that programs write do not."""
+    usual = b"-1.2345678901234567e-05,0.00012345678901234567," * MAX_LONG_NUMBERS
+    unit, limit = number + b",", MAX_LONG_NUMBERS
+    assert len(parse_json(b"[" + usual + unit * limit + b"0]")) == 3 * limit + 1
+    with pytest.raises(InvalidRequestError, match="20 digits and more with an exponent"):
+        parse_json(b"[" + usual + unit * (limit + 1) + b"0]")
 
 
 def test_counting_is_as_exact_as_counting_in_python() -> None:
