@@ -121,8 +121,7 @@ class FakeConnection:
     def half_close(self) -> None:
         """Send no more, as when a client shuts its sending half. The transport closes unless the service objects."""
         if not self.transport.closed and not self.protocol.eof_received():
-            self.protocol.transport.close()
-            self.transport.closed = True
+            self.transport.close()
             self.protocol.connection_lost(None)
 
     def disconnect(self) -> None:

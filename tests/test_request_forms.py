@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from service.app import Service, create_app
+from service.connections.framing import MAX_HEADERS
 from service.inference.loaded_models import LoadedModels
 from service.observability.logs import RequestLog
 from service.settings import Settings
@@ -80,6 +81,9 @@ ALLOWED: dict[str, Form] = {
     "chunks with zeros": chunked(size=b"0000%X"),
     "chunks with trailers": chunked(trailers=b"x-sum: 1\r\nauthorization: Bearer x\r\n"),
     "trailers that would refuse": chunked(trailers=b"content-type: text/plain\r\naccept: text/html\r\nhost: b\r\n"),
+    "trailers of the connection": chunked(
+        trailers=b"connection: close\r\ncontent-length: 5\r\ntransfer-encoding: gzip\r\nupgrade: h2c\r\n"
+    ),
     "an extension of the last chunk": chunked(last=b"0;a=b"),
     "an offer of h2c": with_headers(
         b"connection: Upgrade, HTTP2-Settings", b"upgrade: h2c", b"http2-settings: AAEAAEAA"
@@ -160,6 +164,8 @@ REFUSED: dict[str, tuple[Form, int]] = {
     "a quote without an end": (chunked(size=b'%x;a="b'), 400),
     "a folded trailer": (chunked(trailers=b"x-a: b\r\n c\r\n"), 400),
     "a trailer without a colon": (chunked(trailers=b"nothing\r\n"), 400),
+    "a trailer with a zero byte": (chunked(trailers=b"x-a: \0\r\n"), 400),
+    "a trailer with a bare line feed": (chunked(trailers=b"x-a: b\n"), 400),
     "endless trailers": (chunked(trailers=b"x-a: b\r\n" * 3000), 400),
     "endless extensions": (chunked(size=b"%x;" + b"a" * 20000), 400),
 }
@@ -347,10 +353,48 @@ def test_odd_request_lines_get_a_status(loop: asyncio.Runner, app: Service, line
     assert b"x-request-id: " in answer
 
 
-def test_a_head_that_ends_early_is_refused(loop: asyncio.Runner, app: Service) -> None:
-    """A client that shuts its sending half within a head gets a 400. Within a body, or before a byte, it has left."""
-    found, is_closed = exchange(loop, app, b"GET /livez HTTP/1.1\r\nhost", half_close=True)
-    assert [one.split()[1] for one in found] == [b"400"]
-    assert is_closed
-    for sent in (b"", request(*plain("shortcut"))[:-1], request(*plain("thread"))[:-1]):
-        assert exchange(loop, app, sent, half_close=True) == ([], True)
+def test_a_request_that_ends_early_is_refused(loop: asyncio.Runner, app: Service) -> None:
+    """A client that shuts its sending half within a request gets a 400. Before the first byte it has left."""
+    heads = [b"GET /livez HTTP/1.1\r\nhost", chunked()(*plain("thread"))[:-1]]
+    for sent in [*heads, *(request(*plain(way))[:-1] for way in WAYS)]:
+        found, is_closed = exchange(loop, app, sent, half_close=True)
+        assert [one.split()[1] for one in found] == [b"400"]
+        assert is_closed
+    assert exchange(loop, app, b"", half_close=True) == ([], True)
+
+
+@pytest.mark.parametrize("method", [b"HEAD", b"GET"])
+def test_a_client_that_sends_no_more_gets_its_answer_at_any_time(
+    loop: asyncio.Runner, app: Service, method: bytes
+) -> None:
+    """The end of the client's sending half may come in any iteration, also while the head of an answer is held."""
+
+    async def run(iterations: int) -> bytes:
+        """Shut the sending half some iterations after a request."""
+        connection = FakeConnection(app, app.shortcut)
+        connection.receive(method + b" /livez HTTP/1.1\r\nhost: a\r\n\r\n")
+        for _ in range(iterations):
+            await asyncio.sleep(0)
+        connection.half_close()
+        async with asyncio.timeout(60):
+            while not connection.transport.closed:
+                await asyncio.sleep(0.001)
+        return b"".join(connection.transport.sent)
+
+    for iterations in range(20):
+        assert loop.run(run(iterations)).startswith(b"HTTP/1.1 200 ")
+
+
+@pytest.mark.parametrize("more", [(), (b"connection: upgrade", b"upgrade: h2c")], ids=["plain", "offer"])
+def test_headers_are_bounded_in_number(loop: asyncio.Runner, app: Service, more: tuple[bytes, ...]) -> None:
+    """Thousands of short headers would cost every ring time."""
+    for way in WAYS:
+        line, headers, body = plain(way)
+        many = [*headers, *more, *[b"a:"] * MAX_HEADERS]
+        room = MAX_HEADERS - 1  # its length is a header too
+        (answer,), _ = exchange(loop, app, request(line, many[:room], body))
+        assert answer.startswith(b"HTTP/1.1 200 ")
+        for excess in (1, 2, 9):  # the length comes last
+            (answer,), is_closed = exchange(loop, app, request(line, many[: room + excess], body))
+            assert answer.startswith(b"HTTP/1.1 431 ")
+            assert is_closed

@@ -12,7 +12,7 @@ import asyncio
 import logging
 import urllib.parse
 from http import HTTPStatus
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import httptools
 from uvicorn.protocols.http.flow_control import HIGH_WATER_LIMIT
@@ -28,10 +28,11 @@ from service.connections.framing import (
     straddling,
 )
 from service.connections.head_clock import MAX_HEAD_BYTES
-from service.connections.lifecycle import MAX_DISCARDED_BYTES, ConnectionLifecycle
+from service.connections.lifecycle import ConnectionLifecycle
 from service.connections.listener import Cycle
 from service.errors import MalformedRequestError
 
+CHUNKS_AT_ONCE: Final = 8 * 1024  # bytes of chunks in one turn: tiny ones cost 3 us each
 _LINE_ENDS: Final = b"\r\n"
 
 logger = logging.getLogger(__name__)
@@ -42,7 +43,7 @@ class BoundedConnection(ConnectionLifecycle):
 
     def data_received(self, data: bytes) -> None:
         """Read bytes, or set them aside while a request is being answered."""
-        if self._is_busy or self._is_ended or self.flow.write_paused:
+        if self._rest or self._is_busy or self._is_ended or self.flow.write_paused:
             self._set_aside(data)
         else:
             self._read(data)
@@ -50,9 +51,10 @@ class BoundedConnection(ConnectionLifecycle):
     def eof_received(self) -> bool:  # type: ignore[override]  # uvicorn never keeps the other half open
         """Answer the requests that have come before the client shut its sending half, then close."""
         self._is_half_closed = True
-        if self._is_ended:
-            return False
-        return self._is_busy or bool(self._rest) or self._end_of_requests()
+        stays = not self._is_ended and (self._is_busy or bool(self._rest) or self._end_of_requests())
+        if not stays:
+            self._writes.end()  # the transport would close before the bytes that are held
+        return stays
 
     def resume_writing(self) -> None:
         """Read on: all answers have left."""
@@ -69,13 +71,15 @@ class BoundedConnection(ConnectionLifecycle):
         self._clock.begin()
 
     def on_header(self, name: bytes, value: bytes) -> None:
-        """Keep a header, and one more than are accepted. Behind the body are trailers, and never headers."""
-        if not self._is_in_body and len(self.headers) <= MAX_HEADERS:
+        """Keep a header, and one more than are accepted."""
+        if len(self.headers) <= MAX_HEADERS:
             self.headers.append((name.lower(), value.rstrip(b" \t")))  # llhttp leaves spaces at the end
 
     def on_headers_complete(self) -> None:
         """Begin a request: its head is complete. One that offers an upgrade is read again without the offer."""
-        if self.parser.should_upgrade() and self.parser.get_method() != b"CONNECT":
+        if len(self.headers) > MAX_HEADERS:
+            self._refuse_large_head("headers", MAX_HEADERS)
+        if self._is_ended or (self.parser.should_upgrade() and self.parser.get_method() != b"CONNECT"):
             return
         self._clock.pause()
         self._is_in_body = True
@@ -85,9 +89,7 @@ class BoundedConnection(ConnectionLifecycle):
         coding = fields.get(b"transfer-encoding")
         self._body_left = int(fields.get(b"content-length") or b"0")
         self._chunks = None
-        if len(self.headers) > MAX_HEADERS:
-            self._refuse_large_head("headers", MAX_HEADERS)
-        elif len(self.url) > MAX_TARGET_BYTES:
+        if len(self.url) > MAX_TARGET_BYTES:
             self._refuse_large_head("bytes of the target", MAX_TARGET_BYTES)
         elif version not in ("1.1", "1.0"):
             self._refuse(
@@ -146,12 +148,20 @@ class BoundedConnection(ConnectionLifecycle):
 
     def _read(self, data: bytes) -> None:
         """Read bytes up to the end of a request, and set the others aside."""
-        while data and not (self._is_busy or self._is_ended):
-            data = self._read_body(data) if self._is_in_body else self._read_head(data)
+        is_long = False
+        while data and not (self._is_busy or self._is_ended or is_long):
+            if not self._is_in_body:
+                data = self._read_head(data)
+            elif self._chunks is None:
+                data = self._read_body(data)
+            else:
+                data, is_long = self._read_chunks(data[:CHUNKS_AT_ONCE]) + data[CHUNKS_AT_ONCE:], True
         if self._is_ended:
             return
         if data:
             self._set_aside(data)
+            if not self._is_busy:
+                self.loop.call_soon(self._go_on)  # other connections have their turn between many chunks
         elif not self._is_busy:
             self._hold(self._partial_bytes())
         elif self._held_bytes:
@@ -173,23 +183,34 @@ class BoundedConnection(ConnectionLifecycle):
         return data[len(part) :]
 
     def _read_body(self, data: bytes) -> bytes:
-        """Read bytes of a body. Return those behind it."""
-        if self._chunks is None:
-            end = min(self._body_left, len(data))
-            self._body_left -= end
-            is_whole = not self._body_left
-        else:
-            try:
-                end = self._chunks.walk(data)
-            except MalformedRequestError as error:
-                self._refuse_malformed(str(error))
-                return b""
-            is_whole = end >= 0
-            end = end if is_whole else len(data)
+        """Read bytes of a body of known length. Return those behind it."""
+        end = min(self._body_left, len(data))
+        self._body_left -= end
         self._feed(data[:end])
-        if is_whole is not self._is_busy and not self._is_ended:
-            self._refuse_malformed("the body is not valid HTTP/1.1")  # the parser finds its end elsewhere
+        self._check_end(is_whole=not self._body_left)
         return data[end:]
+
+    def _read_chunks(self, data: bytes) -> bytes:
+        """Read bytes of a chunked body. Return those behind it. The parser gets an empty line for the trailers."""
+        walker = cast(ChunkedBody, self._chunks)
+        try:
+            chunks, end = walker.walk(data)
+        except MalformedRequestError as error:
+            self._refuse_malformed(str(error))
+            return b""
+        self._feed(data[:chunks])
+        if end < 0:
+            self._check_end(is_whole=False)
+            return b""
+        if not self._is_ended:
+            self._feed(_LINE_ENDS)
+        self._check_end(is_whole=True)
+        return data[end:]
+
+    def _check_end(self, *, is_whole: bool) -> None:
+        """Refuse a body whose end the parser finds elsewhere."""
+        if is_whole is not self._is_busy and not self._is_ended:
+            self._refuse_malformed("the body is not valid HTTP/1.1")
 
     def _feed(self, data: bytes) -> None:
         """Pass bytes of one request to the parser."""
@@ -210,10 +231,6 @@ class BoundedConnection(ConnectionLifecycle):
         """Read a complete head again, without its offer of another protocol. llhttp leaves its body unread."""
         parser, self.parser = self.parser, httptools.HttpRequestParser(self)
         self._feed(head_without_upgrade(parser.get_method(), self.url, parser.get_http_version(), self.headers))
-
-    def _refuse_large_head(self, things: str, limit: int) -> None:
-        detail = f"head: received more than {limit} {things}; accepted are up to {limit}"
-        self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head_too_large", detail)
 
     def _begin_request(self) -> None:
         """Pass the request to the application, which reads its body."""
@@ -251,18 +268,6 @@ class BoundedConnection(ConnectionLifecycle):
         """Return the bytes of an incomplete request that no other part counts."""
         return self._clock.count
 
-    def _set_aside(self, data: bytes) -> None:
-        """Keep bytes for later, or discard them if the connection ends."""
-        if self._is_ended:
-            self._discarded_bytes += len(data)
-            if self._discarded_bytes > MAX_DISCARDED_BYTES:
-                self._writes.end()
-            return
-        self._rest += data
-        self.flow.pause_reading()
-        self._gate.is_shut = True
-        self._hold(len(self._rest))
-
     def _go_on(self) -> None:
         """Read the bytes that were set aside, once the last answer has left."""
         if self._is_busy or self._is_ended or self.flow.write_paused:
@@ -280,19 +285,3 @@ class BoundedConnection(ConnectionLifecycle):
             self.flow.resume_reading()
         elif not self._rest and not self._end_of_requests():
             self._writes.end()
-
-    def _end_of_requests(self) -> bool:
-        """End after the last byte of the client. Return False if the connection is to close without an answer."""
-        if self._is_begun and not self._is_in_body:
-            self._refuse_malformed("head: received only a part before the end; accepted is all of it")
-            return True
-        return self.flow.write_paused
-
-    def _on_late(self) -> None:
-        """Refuse a head that is late. Close an idle connection without a word."""
-        if self._is_ended or self._clock.is_idle:
-            self._finish()
-            return
-        head_s = self.listener.limits.head_s
-        detail = f"head: received only a part within {head_s:g} s; accepted is all of it within {head_s:g} s"
-        self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)

@@ -15,10 +15,12 @@ from service.errors import MalformedRequestError
 MAX_TARGET_BYTES: Final = 4096  # to split a query takes half a millisecond per KiB
 MAX_HEADERS: Final = 128  # a short one takes fifty times its bytes in memory
 MAX_FRAMING_BYTES: Final = 16 * 1024
+_LINE_END: Final = b"\r\n"
 _EMPTY_LINE: Final = b"\r\n\r\n"
 _STRADDLE: Final = len(_EMPTY_LINE) - 1
 _OFFER: Final = (b"upgrade", b"http2-settings")
 _SIZE: Final = re.compile(rb"([0-9A-Fa-f]{1,16})(?:;[^\r\n]*)?\r\n")
+_TRAILER: Final = re.compile(rb"[!#$%&'*+.^_`|~0-9A-Za-z-]+:[\t -~\x80-\xff]*\r\n")
 
 
 def end_of_head(before: bytes, data: bytes) -> int:
@@ -71,6 +73,7 @@ class ChunkedBody:
     """Walk through a chunked body, piece by piece, to its end behind the trailers.
 
     Sizes of chunks, their extensions and trailers are bounded beside the content: they would cost time without a body.
+    Trailers are read here and left out for the parser, which would obey some of them, such as ``connection: close``.
     """
 
     def __init__(self) -> None:
@@ -79,13 +82,14 @@ class ChunkedBody:
         self._in_trailers = False
         self._framing_left = MAX_FRAMING_BYTES
 
-    def walk(self, data: bytes) -> int:
-        """Return the offset behind the end of the body, or -1 if it is not among these bytes.
+    def walk(self, data: bytes) -> tuple[int, int]:
+        """Return the offsets behind the chunks, and behind the end of the body or -1 if it is not among these bytes.
 
         Raises:
-            MalformedRequestError: a size is not one, or there is more framing than content.
+            MalformedRequestError: a size or a trailer is not one, or there is more framing than content.
         """
         at = 0
+        chunks = 0 if self._in_trailers else len(data)
         while at < len(data):
             if self._content_left:
                 step = min(self._content_left, len(data) - at)
@@ -102,20 +106,27 @@ class ChunkedBody:
                 )
             self._line += part
             at += len(part)
-            if end and self._ends():
-                return at
-        return -1
+            if not end:
+                continue
+            was_in_trailers = self._in_trailers
+            if self._ends():
+                return chunks, at
+            if self._in_trailers and not was_in_trailers:
+                chunks = at
+        return chunks, -1
 
     def _ends(self) -> bool:
         """Read a complete line. Return True if it ends the body."""
         line, self._line = self._line, b""
         if self._in_trailers:
-            return line == b"\r\n"
+            if line != _LINE_END and not _TRAILER.fullmatch(line):
+                raise MalformedRequestError("body: received a trailer that is none; accepted is a name and its value")
+            return line == _LINE_END
         found = _SIZE.fullmatch(line)
         if found is None:
             raise MalformedRequestError("body: received a chunk without a valid size; accepted is its size in hex")
         size = int(found[1], 16)
         self._in_trailers = size == 0
-        self._content_left = size + len(b"\r\n") if size else 0
+        self._content_left = size + len(_LINE_END) if size else 0
         self._framing_left += size
         return False

@@ -17,7 +17,7 @@ from service.transport.problems import MEDIA_TYPE, problem_body
 
 LINGER_S: Final = 0.25  # by then a request has arrived that its client sent before it saw the end
 KERNEL_BYTES: Final = 128 * 1024
-MAX_DISCARDED_BYTES: Final = 64 << 20
+MAX_DISCARDED_BYTES: Final = 1 << 30  # as large as a body may be by any setting
 
 
 class ConnectionLifecycle(HttpToolsProtocol):
@@ -135,6 +135,10 @@ class ConnectionLifecycle(HttpToolsProtocol):
     def _refuse_malformed(self, detail: str) -> None:
         self._refuse(MalformedRequestError.status, MalformedRequestError.code, detail)
 
+    def _refuse_large_head(self, things: str, limit: int) -> None:
+        detail = f"head: received more than {limit} {things}; accepted are up to {limit}"
+        self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, "head_too_large", detail)
+
     def _refuse(self, status: HTTPStatus, code: str, detail: str, *, linger: bool = True) -> None:
         """Write a problem and end. The application has no request that it could answer."""
         if self._is_ended or self.transport.is_closing():
@@ -148,6 +152,9 @@ class ConnectionLifecycle(HttpToolsProtocol):
         )
         self._writes.write_whole(head.encode("ascii") + body)
         self._finish(linger=linger)
+        if self.cycle is not None and not self.cycle.response_complete:  # its application would answer a second time
+            self.cycle.disconnected = True
+            self.cycle.message_event.set()
 
     def _finish(self, *, linger: bool = False) -> None:
         """End the connection behind the last answer.
@@ -171,5 +178,30 @@ class ConnectionLifecycle(HttpToolsProtocol):
         self._lingering = self.loop.call_later(self.listener.limits.head_s, self._writes.end)
 
     def _on_late(self) -> None:
-        """Act on a clock that has run out."""
-        raise NotImplementedError
+        """Refuse a head that is late. Close an idle connection without a word."""
+        if self._is_ended or self._clock.is_idle:
+            self._finish()
+            return
+        head_s = self.listener.limits.head_s
+        detail = f"head: received only a part within {head_s:g} s; accepted is all of it within {head_s:g} s"
+        self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)
+
+    def _set_aside(self, data: bytes) -> None:
+        """Keep bytes for later, or discard them if the connection ends."""
+        if self._is_ended:
+            self._discarded_bytes += len(data)
+            if self._discarded_bytes > MAX_DISCARDED_BYTES:
+                self._writes.end()
+            return
+        self._rest += data
+        self.flow.pause_reading()
+        self._gate.is_shut = True
+        self._hold(len(self._rest))
+
+    def _end_of_requests(self) -> bool:
+        """End after the last byte of the client. Return False if the connection is to close without an answer."""
+        if self._is_begun:
+            part = "body" if self._is_in_body else "head"
+            self._refuse_malformed(f"{part}: received only a part before the end; accepted is all of it")
+            return True
+        return self.flow.write_paused

@@ -176,6 +176,52 @@ def test_a_body_arrives_complete_in_any_pieces(sizes: tuple[int, ...], at_once: 
     assert asyncio.run(run()).partition(b"\r\n\r\n")[2] == whole
 
 
+def test_many_chunks_leave_turns_to_others() -> None:
+    """Tiny chunks, which cost the most, are read some at a time, and the body is complete."""
+
+    async def run() -> tuple[bytes, int]:
+        """Send a read of the socket full of chunks. Count the turns of others until the answer."""
+        connection = FakeConnection(echo, None)
+        connection.receive(b"POST / HTTP/1.1\r\nHost: h\r\nTransfer-Encoding: chunked\r\n\r\n")
+        connection.receive(b"4\r\nabcd\r\n" * 20_000 + b"0\r\n\r\n")
+        turns = 0
+        while not connection.transport.sent:
+            await asyncio.sleep(0)
+            turns += 1
+        return await connection.answers(1), turns
+
+    answer, turns = asyncio.run(run())
+    assert answer.partition(b"\r\n\r\n")[2] == b"abcd" * 20_000
+    assert turns > 20
+
+
+def test_the_application_learns_of_a_refusal_within_its_body() -> None:
+    """It answers no second time: the connection sends no more."""
+    read: list[str] = []
+
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        """Read to the end, and answer whatever comes."""
+        while not read or read[-1] == "http.request":
+            read.append((await receive())["type"])
+        await PlainTextResponse("late", 408)(scope, receive, send)
+
+    async def run() -> bytes:
+        """Send a chunk, then one that is none."""
+        connection = FakeConnection(app, None)
+        connection.receive(b"POST / HTTP/1.1\r\nHost: h\r\nTransfer-Encoding: chunked\r\n\r\n5\r\nabcde\r\n")
+        for _ in range(9):
+            await asyncio.sleep(0)
+        connection.receive(b"zz\r\n")
+        for _ in range(9):
+            await asyncio.sleep(0)
+        return b"".join(connection.transport.sent)
+
+    answer = asyncio.run(run())
+    assert read == ["http.request", "http.disconnect"]
+    assert answer.startswith(b"HTTP/1.1 400 ")
+    assert b"late" not in answer
+
+
 FRAMEWORK = PlainTextResponse("the framework", 418)
 SAME = "x-request-id: the-same"
 PLAIN = ("content-type: application/json", SAME)
