@@ -43,6 +43,7 @@ def serve(**options: Any) -> None:
     New versions and moved aliases are served without a restart. After SIGTERM the service finishes running requests and
     stops. `cazsl config` shows every setting.
     """
+    signal.signal(signal.SIGTERM, _stop)  # the first process of a container gets no signal that it does not handle
     settings = configured(options).settings
     _check_host(settings)
     log = LogWriter()
@@ -59,7 +60,6 @@ def serve(**options: Any) -> None:
     app = create_app(settings, models, RequestLog(log), trace)
     app.openapi()  # the first request for it would hold the event loop for a tenth of a second
     _greet(f"serving {settings.registry}; documentation: http://{settings.host}:{settings.port}/docs; Ctrl-C stops")
-    signal.signal(signal.SIGTERM, _stop)
     serving = _configured(app, app.connections, settings)
     others = []
     if settings.metrics_port is not None:

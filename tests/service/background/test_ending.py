@@ -187,13 +187,14 @@ def test_ctrl_c_ends_the_process_with_0(project_root: Path) -> None:
 
 EARLY = """
 import gc, os, signal
+import service.cli.serve as serve
 from service.cli.main import main
-gc.{call} = lambda: os.kill(os.getpid(), signal.SIGTERM)
+{call} = lambda *_: os.kill(os.getpid(), signal.SIGTERM)
 main()
 """
 
 
-@pytest.mark.parametrize("call", ["collect", "freeze"])
+@pytest.mark.parametrize("call", ["serve.configured", "serve.expect_trials", "gc.collect", "gc.freeze"])
 def test_sigterm_before_the_server_handles_it_is_not_lost(project_root: Path, call: str) -> None:
     """A service that is stopped while it starts ends with 0, and does not start all the same."""
     with started(project_root, ["-c", EARLY.format(call=call), "serve"], subprocess.DEVNULL) as (process, _):
