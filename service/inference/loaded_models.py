@@ -18,7 +18,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from service.errors import BrokenModelError, CazslError
+from service.errors import BrokenModelError, CazslError, UnknownModelError
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.predictor import PredictorFactory
@@ -152,6 +152,8 @@ class LoadedModels:
         if missing or unnamed or DEFAULT_ALIAS not in state.aliases:
             try:
                 record = self._registry.history(name)
+            except UnknownModelError:  # it has vanished with its record
+                pass
             except CazslError as error:  # an unreadable record removes nothing
                 is_unknown = True
                 problems.append(f"{name}/history: {error}")
