@@ -259,6 +259,7 @@ class BoundedConnection(ConnectionLifecycle):
             keep_alive=is_current and self.parser.should_keep_alive(),
             on_response=self.on_response_complete,
         )
+        self.cycle.server_state = self.server_state
         self._start_asgi_task(self.cycle, self.app)
 
     def _has_body(self) -> bool:

@@ -6,6 +6,7 @@ from typing import Any
 
 from uvicorn.protocols.http.flow_control import FlowControl
 from uvicorn.protocols.http.httptools_impl import RequestResponseCycle
+from uvicorn.server import ServerState
 
 from service.connections.open_connections import OpenConnections
 from service.connections.unsent import UnsentAnswers
@@ -70,10 +71,17 @@ class GatedFlow(FlowControl):
 
 
 class Cycle(RequestResponseCycle):
-    """A request and its answer. An answer that comes before the whole body is the last one of its connection."""
+    """A request and its answer. An answer that comes before the whole body is the last one of its connection.
+
+    Attributes:
+        server_state: has the headers of every answer at this time. The server may have begun to end since the request.
+    """
+
+    server_state: ServerState
 
     async def send(self, message: Any) -> None:
         """Send a part of the answer."""
-        if self.more_body and not self.response_started:
-            self.keep_alive = False
+        if not self.response_started:
+            self.default_headers = self.server_state.default_headers
+            self.keep_alive = self.keep_alive and not self.more_body
         await super().send(message)

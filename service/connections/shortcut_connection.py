@@ -104,7 +104,7 @@ class ShortcutConnection(BoundedConnection):
         if not (self._is_ended or self._bare.is_closing()):
             lines = b"\r\n".join([b": ".join(header) for header in (*self.server_state.default_headers, *headers)])
             self._writes.write_whole(b"".join((STATUS_LINE[status], lines, b"\r\n\r\n", content)))
-            if not self._is_busy:  # its body has not come
+            if not self._is_busy or CLOSE in self.server_state.default_headers:  # its body has not come, or the end has
                 self._finish()
         self._is_timed = False
         self.on_response_complete()

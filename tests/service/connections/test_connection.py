@@ -591,3 +591,25 @@ def test_a_draining_service_closes_the_connection_with_its_answer(loop: asyncio.
     received, closed = loop.run(run())
     assert b"connection: close" in received
     assert closed
+
+
+@pytest.mark.parametrize("kind", [PLAIN, UNUSUAL_TYPE], ids=["shortcut", "ring"])
+@pytest.mark.parametrize("cut", [0, 5], ids=["complete", "incomplete"])
+def test_an_answer_that_asks_to_leave_is_the_last_one(
+    loop: asyncio.Runner, app: Service, kind: tuple[str, ...], cut: int
+) -> None:
+    """A request may have begun before the service began to drain."""
+
+    async def run() -> tuple[bytes, bool]:
+        """Begin to drain in the middle of a request, or before its answer."""
+        connection = connect_to(app)
+        sent = post("/v1/predict", BODY, kind)
+        connection.receive(sent[: len(sent) - cut])
+        connection.state.default_headers = [CLOSE]
+        connection.receive(sent[len(sent) - cut :] + sent)
+        return await connection.answers(2), connection.transport.closed or connection.transport.ended
+
+    received, closed = loop.run(run())
+    assert len(whole_answers(received)) == 1
+    assert b"connection: close" in received
+    assert closed
