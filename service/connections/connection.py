@@ -148,14 +148,14 @@ class BoundedConnection(ConnectionLifecycle):
 
     def _read(self, data: bytes) -> None:
         """Read bytes up to the end of a request, and set the others aside."""
-        is_long = False
-        while data and not (self._is_busy or self._is_ended or is_long):
+        has_read_chunks = False
+        while data and not (self._is_busy or self._is_ended or has_read_chunks):
             if not self._is_in_body:
                 data = self._read_head(data)
             elif self._chunks is None:
                 data = self._read_body(data)
             else:
-                data, is_long = self._read_chunks(data[:CHUNKS_AT_ONCE]) + data[CHUNKS_AT_ONCE:], True
+                data, has_read_chunks = self._read_chunks(data[:CHUNKS_AT_ONCE]) + data[CHUNKS_AT_ONCE:], True
         if self._is_ended:
             return
         if data:
