@@ -152,7 +152,8 @@ def test_no_mutation_of_an_attack_gets_a_5xx(caplog: pytest.LogCaptureFixture) -
                 counts[path if path.startswith(("/v1/predict", "/v1/contexts", "/v2")) else "others", status] += 1
                 if number == REQUESTS // 5:
                     before = rss_mib()
-            assert await ask(app, "POST", "/v1/predict", [(b"content-type", b"application/json")], plain) == 200
+            headers = [(b"host", b"test"), (b"content-type", b"application/json")]
+            assert await ask(app, "POST", "/v1/predict", headers, plain) == 200
             return rss_mib() - before
 
     growth = asyncio.run(scenario())

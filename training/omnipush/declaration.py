@@ -68,7 +68,7 @@ def read_declared(folder: Path, key: str, default: str) -> str:
         return default
     try:
         return str(json.loads(read_text(path))[key])
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(
             f"{path} is not JSON with a key '{key}'; restore or remove it, or name another folder"
         ) from error

@@ -255,10 +255,12 @@ def test_existing_file_is_never_overwritten(tmp_path: Path, registry: Path) -> N
 def test_unreadable_source_or_target_is_one_line(tmp_path: Path, registry: Path) -> None:
     """A source that is not a Parquet file, or a missing folder of the result, is an error of one line."""
     (tmp_path / "text").write_text("x_m,y_m", encoding="utf-8")
-    for source in (tmp_path / "text", tmp_path / "gone", tmp_path):
+    for source in (tmp_path / "text", tmp_path / "gone"):
         result = predict(source, tmp_path / "out.parquet", registry)
         assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
         assert "accepted is a Parquet file" in result.stderr
+    folder = predict(tmp_path, tmp_path / "out.parquet", registry)
+    assert (folder.exit_code, len(folder.stderr.splitlines()), "a folder, not a file" in folder.stderr) == (2, 1, True)
     pq.write_table(table(5), tmp_path / "in.parquet")
     lost = predict(tmp_path / "in.parquet", tmp_path / "gone" / "out.parquet", registry)
     assert (lost.exit_code, "cannot be written" in lost.stderr) == (1, True)
