@@ -236,8 +236,8 @@ def report(found: list[Outcome], idle_mib: float, kept_mib: float, limit_mib: in
     lines = [
         "# Worst requests, measured",
         "",
-        f"`python -m benchmarks.worst_requests` on {date.today()}, Python {platform.python_version()}, {processors()} "
-        f"processors, load average {os.getloadavg()[1]:.1f}.",
+        f"`python -m benchmarks.worst_requests {' '.join(sys.argv[1:])}` on {date.today()}, "
+        f"Python {platform.python_version()}, {processors()} processors, load average {os.getloadavg()[1]:.1f}.",
         "Times are upper bounds: the machine is shared, and the probe waits for a processor too. Goals: held 50 ms,",
         "peak 150 MiB above idle, refusals of a few KiB.",
         "",
