@@ -102,9 +102,10 @@ class ShortcutConnection(BoundedConnection):
     def _reply(self, status: int, headers: Headers, content: bytes) -> None:
         """Write the answer of the shortcut, as uvicorn writes others."""
         if not (self._is_ended or self._bare.is_closing()):
-            lines = b"\r\n".join([b": ".join(header) for header in (*self.server_state.default_headers, *headers)])
+            common = self.server_state.default_headers  # read once: a signal may add CLOSE to them at any time
+            lines = b"\r\n".join([b": ".join(header) for header in (*common, *headers)])
             self._writes.write_whole(b"".join((STATUS_LINE[status], lines, b"\r\n\r\n", content)))
-            if not self._is_busy or CLOSE in self.server_state.default_headers:  # its body has not come, or the end has
+            if not self._is_busy or CLOSE in common:  # its body has not come, or the end has
                 self._finish()
         self._is_timed = False
         self.on_response_complete()
