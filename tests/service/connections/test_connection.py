@@ -613,3 +613,28 @@ def test_an_answer_that_asks_to_leave_is_the_last_one(
     assert len(whole_answers(received)) == 1
     assert b"connection: close" in received
     assert closed
+
+
+@pytest.mark.parametrize("kind", [PLAIN, UNUSUAL_TYPE], ids=["shortcut", "ring"])
+def test_signal_while_an_answer_is_written_leaves_its_connection_open(
+    loop: asyncio.Runner, app: Service, kind: tuple[str, ...]
+) -> None:
+    """A client that was not asked to leave gets its next answer, also if the service began to drain meanwhile."""
+
+    async def run() -> tuple[bytes, bool]:
+        """Begin to drain in the system call that writes an answer."""
+        connection = connect_to(app)
+        write = connection.transport.write
+
+        def write_during_signal(data: bytes | bytearray | memoryview) -> None:
+            """Write, and add the header as the handler of SIGTERM does."""
+            write(data)
+            connection.state.default_headers = [CLOSE]
+
+        connection.transport.write = write_during_signal  # type: ignore[method-assign]
+        connection.receive(post("/v1/predict", BODY, kind))
+        return await connection.answers(1), connection.transport.closed
+
+    received, closed = loop.run(run())
+    assert b"connection: close" not in received
+    assert not closed
