@@ -21,7 +21,8 @@ REQUEST_LOGGER: Final = "service.requests"
 _HEAD: Final = {"level": "INFO", "logger": REQUEST_LOGGER, "message": "request"}
 _ORJSON: Final = orjson.OPT_UTC_Z | orjson.OPT_APPEND_NEWLINE
 _FLUSH_S: Final = 0.2
-_FLUSH_LINES: Final = 128  # holds the event loop for less than a millisecond
+_ENCODED_LINES: Final = 128  # to encode them holds the event loop for less than a millisecond
+_FLUSH_LINES: Final = 2048
 
 
 class LineHandler(logging.Handler):
@@ -95,14 +96,19 @@ class RequestLog:
         """Create a log on a writer, or on a stream through a writer of its own. None: standard error."""
         self.writer = out if isinstance(out, LogWriter) else LogWriter(out)
         self._records: list[RequestRecord] = []
+        self._lines: list[bytes] = []
+        self._is_timed = False
 
     def add(self, record: RequestRecord) -> None:
         """Take the record of a finished request. Its line is written within a fraction of a second."""
-        if not self._records:
+        if not self._is_timed:
+            self._is_timed = True
             asyncio.get_running_loop().call_later(_FLUSH_S, self._hand_over)
         self._records.append(record)
-        if len(self._records) >= _FLUSH_LINES:
-            self._hand_over()
+        if len(self._records) >= _ENCODED_LINES:
+            self._encode()
+            if len(self._lines) >= _FLUSH_LINES:
+                self._hand_over()
 
     def flush(self) -> None:
         """Write the lines that are waiting, within a bounded time."""
@@ -115,13 +121,17 @@ class RequestLog:
         self.writer.close()
 
     def _hand_over(self) -> None:
-        """Pass the lines that are waiting to the writer."""
+        """Pass the lines that are waiting to the writer. Rarely, because its thread takes the interpreter lock."""
+        self._is_timed = False
+        self._encode()
+        lines, self._lines = self._lines, []
+        if lines:
+            self.writer.put(b"".join(lines), len(lines))
+
+    def _encode(self) -> None:
+        """Encode the records that are waiting."""
         records, self._records = self._records, []
-        if not records:
-            return
         try:
-            lines = [orjson.dumps(_HEAD | record.line(), option=_ORJSON) for record in records]
+            self._lines += [orjson.dumps(_HEAD | record.line(), option=_ORJSON) for record in records]
         except Exception:  # a fault of the log must not reach the request
             self.writer.drop(len(records), FAILED)
-            return
-        self.writer.put(b"".join(lines), len(lines))
