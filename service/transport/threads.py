@@ -66,7 +66,7 @@ class _ThreadJob(Job):
         """See ``service.turns.ending``."""
         self.ends.append(end)
         try:
-            if self.unwanted:  # after the line above: whoever sets it calls all that is in the list then
+            if self.unwanted:  # asked after the line above: the pool sets it, and then calls all ends in the list
                 raise DeadlineError(self._pool.deadline_s)
             yield
         finally:

@@ -140,7 +140,7 @@ def test_a_history_that_is_not_a_plain_file_is_neither_read_nor_written(registry
     assert registry.versions(NAME) == [1]
 
 
-@pytest.mark.parametrize("what", ["", "1"])
+@pytest.mark.parametrize("what", ["", "1", "aliases"])
 def test_a_folder_that_is_a_link_is_not_followed(registry: Registry, what: str) -> None:
     """A folder of a model, a version or aliases that is a link is refused, because it could leave the registry."""
     path = registry.root / NAME / what
