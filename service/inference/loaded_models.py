@@ -132,7 +132,7 @@ class LoadedModels:
             self._snapshot.aliases_of(name),
         )
         try:
-            return self._next_of(name, self._registry.state(name), served)
+            return self._next_of(name, served)
         except CazslError as error:
             problem = str(error)
         except Exception:  # a bug that one model meets must not stop the others
@@ -143,20 +143,19 @@ class LoadedModels:
         )
         return replace(served, problems=[problem], champion_is_recorded=True)
 
-    def _next_of(self, name: str, state: ModelState, served: ServedModel) -> ServedModel:
+    def _next_of(self, name: str, served: ServedModel) -> ServedModel:
         """Return the state of the registry as far as it loads. What is only absent stays served."""
-        problems = [f"{name}/{place}: {cause}" for place, cause in state.faults.items()]
-        missing = {version for version in served.versions if version not in state.versions | state.removed}
-        unnamed = {alias for alias in served.aliases if alias not in state.aliases}
-        record, is_unknown = History(), False
-        if missing or unnamed or DEFAULT_ALIAS not in state.aliases:
+        state, record, unreadable = self._registry.state(name), History(), ""
+        if DEFAULT_ALIAS not in state.aliases or any(_absent(served, state)):
             try:
-                record = self._registry.history(name)
+                state, record = self._registry.record(name)
             except UnknownModelError:  # it has vanished with its record
                 pass
             except CazslError as error:  # an unreadable record removes nothing
-                is_unknown = True
-                problems.append(f"{name}/history: {error}")
+                unreadable = f"{name}/history: {error}"
+        missing, unnamed = _absent(served, state)
+        problems = [f"{name}/{place}: {cause}" for place, cause in state.faults.items()]
+        problems += [unreadable] if unreadable else []
         if not (state.versions or state.removed or record.events or problems):
             problems.append(f"{name} has neither a version nor a history")
         lost = missing - record.intended().removed
@@ -185,7 +184,7 @@ class LoadedModels:
                 versions[before] = served.versions[before]
                 aliases[alias] = before
                 problems.append(f"{name}@{alias} should be {version}; {before} stays served")
-        recorded = is_unknown or _champion_is_recorded(state, record)
+        recorded = bool(unreadable) or _champion_is_recorded(state, record)
         if recorded and DEFAULT_ALIAS not in wanted and not problems:
             problems.append(f"{name}@{DEFAULT_ALIAS} is recorded in the history, but has vanished")
         return ServedModel(versions, aliases, problems, recorded)
@@ -216,6 +215,11 @@ class LoadedModels:
         if new.problems != old.problems:
             for problem in new.problems:
                 logger.warning("registry problem", extra={"problem": problem})
+
+
+def _absent(served: ServedModel, state: ModelState) -> tuple[set[int], set[str]]:
+    """Return the served versions that are neither there nor removed, and the served aliases that are not there."""
+    return set(served.versions) - state.versions - state.removed, served.aliases.keys() - state.aliases.keys()
 
 
 def _champion_is_recorded(state: ModelState, record: History) -> bool:

@@ -26,14 +26,14 @@ def examine(registry: Registry, load: PredictorFactory) -> Iterator[RegistryFind
 
 
 def _examine_model(registry: Registry, load: PredictorFactory, name: str) -> Iterator[RegistryFinding]:
-    state = registry.state(name)
-    for place, cause in state.faults.items():
-        yield RegistryFinding(f"{name}/{place}", cause, _cure(name, place))
     history = None
     try:
-        history = registry.history(name)
+        state, history = registry.record(name)
     except CazslError as error:  # the versions are examined without it
+        state = registry.state(name)
         yield RegistryFinding(f"{name}/history", str(error), "restore it from a backup")
+    for place, cause in state.faults.items():
+        yield RegistryFinding(f"{name}/{place}", cause, _cure(name, place))
     for version in sorted(state.versions):
         named = sorted(alias for alias, to in state.aliases.items() if to == version)
         try:

@@ -20,7 +20,7 @@ from service.model.strict_json import check_text
 from service.pushing.domain import PUSHING
 from service.registry.draft import Draft
 from service.registry.verification import MAX_MODEL_BYTES, Requirements, Signatures, VerifiedVersion, verify
-from service.storage.base import MAX_SIGNATURE_BYTES, RegistryFinding, Storage
+from service.storage.base import MAX_SIGNATURE_BYTES, RegistryFinding, Storage, settled
 from service.storage.folder_storage import FolderStorage
 from service.storage.history import REMOVE, Event, History, ModelState, unrecorded
 
@@ -232,14 +232,16 @@ class Registry:
         Raises:
             RegistryError: the history or the state cannot be read.
         """
-        return unrecorded(self.history(name).state(), self.state(name))
+        state, history = self.record(name)
+        return unrecorded(history.state(), state)
+
+    def record(self, name: str) -> tuple[ModelState, History]:
+        """Return the state and the history of a model at one instant. Errors are those of ``history`` and ``state``."""
+        history, state = settled(lambda: self.history(name), lambda: self.state(name))
+        return state, history
 
     def alias_at(self, name: str, alias: str, when: datetime) -> int | None:
-        """Return the version that an alias named at an instant, from the history. None: it named none.
-
-        Raises:
-            RegistryError: the history cannot be read.
-        """
+        """Return the version that an alias named at an instant, from the history. None: it named none."""
         return self.history(name).state(when).aliases.get(alias)
 
     def sign(self, name: str, version: int, signature: bytes) -> None:

@@ -7,18 +7,22 @@ history. Every storage keeps these promises, and one suite of tests runs against
 - ``commit`` decides on the state at the instant of the change: compare-and-set, for aliases and removals.
 - Every change has its line in the history, at the latest when the next change is made.
 - A fault of one model is an error for that model only.
-- Reading changes no file. Sizes are bounded here. Names are checked by the registry above.
+- Reading changes no file, and a change that is made meanwhile is no fault. Sizes are bounded here. Names are checked by
+  the registry above.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from service.storage.history import Event, History, ModelState
 
 MAX_SIGNATURE_BYTES: Final = 64 << 10
 MAX_HISTORY_BYTES: Final = 64 << 20
+ATTEMPTS: Final = 50  # to make one change, or to read two parts of one instant, while other writers are faster
 Decision = Callable[[ModelState], Event]
+Clock = TypeVar("Clock")
+Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)
@@ -154,3 +158,16 @@ class Storage(Protocol):
             RegistryError: the storage cannot be listed.
         """
         ...
+
+
+def settled(clock: Callable[[], Clock], read: Callable[[], Part]) -> tuple[Clock, Part]:
+    """Return two parts of a registry at one instant: ``clock``, which every change changes, was read before and after.
+
+    A change between two reads would look like a line that is missing, or like a version that vanished.
+    """
+    now = clock()
+    for _ in range(ATTEMPTS):
+        before, part, now = now, read(), clock()
+        if now == before:
+            break
+    return now, part

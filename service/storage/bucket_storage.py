@@ -16,20 +16,18 @@ import contextlib
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Final, Self
+from typing import Self
 
 from service.errors import BrokenModelError, ConflictError, PublishError, RegistryError
 from service.model.manifest import CARD_FILE, MANIFEST_FILE, MODEL_FILE, FileDigest
 from service.model.reference import is_name
-from service.storage.base import MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding
+from service.storage.base import ATTEMPTS, MAX_HISTORY_BYTES, MAX_SIGNATURE_BYTES, Decision, RegistryFinding, settled
 from service.storage.bucket import FAILURES, AlreadyExistsError, Bucket, StoreFailure, reason
 from service.storage.bucket_cache import Cache, cache_folder
 from service.storage.bucket_state import MAX_STATE_BYTES, STATE_FILE, StateFile
 from service.storage.folder_writer import SIGNATURES
 from service.storage.history import MAX_LINE_BYTES, PUBLISH, REMOVE, SIGN, Event, History, ModelState, current_user
 from service.storage.survey import EVENTS, bucket_strangers, event_file, event_number, misplaced_objects
-
-ATTEMPTS: Final = 50  # to make one change while other writers win each race
 
 
 class BucketStorage:
@@ -138,8 +136,8 @@ class BucketStorage:
     def history(self, name: str) -> History:
         """See ``Storage.history``. The state tells how many events there are, so a missing one is noticed."""
         try:
-            found = self._state_file(name)[0]
-            numbers = sorted(filter(None, map(event_number, self._bucket.files(f"{name}/{EVENTS}/"))))
+            found, files = settled(lambda: self._state_file(name)[0], lambda: self._bucket.files(f"{name}/{EVENTS}/"))
+            numbers = sorted(filter(None, map(event_number, files)))
             lines = [
                 self._bucket.get(_event_key(name, number), MAX_LINE_BYTES)
                 for number in numbers
@@ -269,15 +267,18 @@ class BucketStorage:
         Raises:
             BrokenModelError: it is not a state, or it is missing although the model has a history.
         """
-        try:
-            content, tag = self._bucket.get_tagged(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
-        except FileNotFoundError as error:
-            if self._bucket.files(f"{name}/{EVENTS}/"):
-                raise BrokenModelError(
-                    f"{name}: {STATE_FILE} is missing, although there is a history; restore it from a backup"
-                ) from error
-            return StateFile(), None, None
-        return StateFile.parse(content), tag, content
+        for _ in range(2):
+            try:
+                content, tag = self._bucket.get_tagged(f"{name}/{STATE_FILE}", MAX_STATE_BYTES)
+            except FileNotFoundError:
+                if not self._bucket.files(f"{name}/{EVENTS}/"):
+                    return StateFile(), None, None
+            else:
+                return StateFile.parse(content), tag, content
+        # A state is older than its history, so the second read would have found it.
+        raise BrokenModelError(
+            f"{name}: {STATE_FILE} is missing, although there is a history; restore it from a backup"
+        )
 
     def _delete(self, name: str, version: int) -> None:
         """Delete the files of a removed version, except its manifest."""

@@ -20,7 +20,7 @@ import errno
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -105,16 +105,23 @@ class FolderStorage:
     def history(self, name: str) -> History:
         """See ``Storage.history``. The head is read first, so that a line that is added meanwhile is no fault."""
         head = self._head(name)
+        if (lines := self._lines(name)) is not None:
+            return History.parse(lines, head)
+        if head is not None or not _numbers(self._entries(name)):
+            return History.parse(b"", head)
+        if (lines := self._lines(name)) is not None:  # the history is older than the versions, so now it must be there
+            return History.parse(lines)
+        return History(problems=(f"{HISTORY} is missing, although there are versions",))
+
+    def _lines(self, name: str) -> bytes | None:
+        """Return the bytes of a history, or None if there is none."""
         try:
             with self._folder(name) as folder:
-                found = History.parse(read_plain(folder, HISTORY, MAX_HISTORY_BYTES), head)
+                return read_plain(folder, HISTORY, MAX_HISTORY_BYTES)
         except BrokenModelError as error:
-            if not isinstance(error.__cause__, FileNotFoundError):
-                raise
-            found = History.parse(b"", head)
-            if head is None and _numbers(self._entries(name)):
-                found = replace(found, problems=(f"{HISTORY} is missing, although there are versions",))
-        return found
+            if isinstance(error.__cause__, FileNotFoundError):
+                return None
+            raise
 
     def _head(self, name: str) -> Head | None:
         """Return the recorded end of a history, or None for a history that has none."""

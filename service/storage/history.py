@@ -132,7 +132,7 @@ class History:
             cut = "the record of its last line cannot be read, so lines may have been cut off"
         elif not found_head and head is not None and not (torn and head.length == len(lines) + 1):
             cut = f"the last line is not line {head.length} as it was recorded: lines were cut off or changed"
-        elif head is None and any(event.number is not None for event in events):
+        elif head is None and sum(event.number is not None for event in events) > 1:  # after one it is about to be
             cut = "the record of its last line is missing, so lines may have been cut off"
         if len(problems) > MAX_PROBLEMS:
             problems[MAX_PROBLEMS:] = [f"{len(problems) - MAX_PROBLEMS} more faults"]

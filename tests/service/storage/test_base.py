@@ -5,13 +5,17 @@ A fault is its own model's: all others are served and followed. Absence is no in
 
 import contextlib
 import errno
+import functools
 import os
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
+from types import FrameType
 
+import obstore
 import pytest
 from fastapi.testclient import TestClient
 
@@ -25,7 +29,7 @@ from service.registry.registry import NOWHERE, Registry
 from service.settings import Settings
 from service.storage.base import RegistryFinding
 from service.storage.folder_storage import FolderStorage
-from service.storage.history import ModelState
+from service.storage.history import ModelState, unrecorded
 from tests.fakes import draft_manifest, load_fake, publish_fake
 from tests.service.storage.faults import (
     BUCKET_FAULTS,
@@ -501,3 +505,92 @@ def test_failing_disk_or_bug_of_one_model_stays_with_it(
     models.refresh()
     assert champion(models, NAME) == 2
     assert [problem for problem in models.snapshot.problems if problem.startswith(ODD) and cause in problem]
+
+
+class Interruption:
+    """A profiler that acts once, before the n-th call to a registry's folder or bucket, as another process could.
+
+    ``every`` acts before each call.
+    """
+
+    def __init__(self, registry: Registry, act: Callable[[], object], turn: int = 1, *, every: bool = False) -> None:
+        self._modules = ("posix", "fcntl") if isinstance(registry.storage, FolderStorage) else ()
+        self._act, self._every, self.left = act, every, turn
+
+    def __call__(self, frame: FrameType, event: str, called: object) -> None:
+        """Count a call."""
+        if event == "c_call" and (called in REQUESTS or getattr(called, "__module__", None) in self._modules):
+            self.left -= 1
+            if self.left == 0 or self._every:
+                with self.paused():
+                    self._act()
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        """Stop counting."""
+        sys.setprofile(None)
+        yield
+        sys.setprofile(self)
+
+
+REQUESTS = (obstore.put, obstore.get, obstore.head, obstore.delete, obstore.list_with_delimiter)
+
+
+def begin(registry: Registry) -> None:
+    """Publish two versions of a model, and name both."""
+    publish_fake(registry)
+    publish_fake(registry, alias="challenger")
+
+
+def change(registry: Registry) -> None:
+    """Make a change of every kind, and publish the first version of another model."""
+    publish_fake(registry, ODD)
+    publish_fake(registry, alias="canary")
+    registry.drop_alias(NAME, "challenger")
+    registry.remove(NAME, 2)
+    registry.point_alias(NAME, "champion", 3)
+
+
+def faults(registry: Registry) -> list[str]:
+    """Return what looks like damage: faults of the histories and of their comparison with what is there."""
+    found: list[str] = []
+    for name in registry.names():
+        state, history = registry.record(name)
+        lost = history.lost(state)
+        found += history.problems
+        found += [f"{name} lost {part}" for part in (*lost.versions, *lost.aliases)]
+        found += [str(event) for event in unrecorded(history.state(), state)[1:]]  # a writer at work leaves one
+    return found
+
+
+def test_change_between_two_reads_is_no_fault(place: Place) -> None:
+    """A registry that changes between any two calls of a reader has no fault."""
+    turn, left = 0, 0
+    while left <= 0:
+        turn += 1
+        registry = place(f"models-{turn}")
+        begin(registry)
+        other = place(f"models-{turn}")
+        interruption = Interruption(registry, functools.partial(change, other), turn)
+        sys.setprofile(interruption)
+        found = faults(registry)
+        sys.setprofile(None)
+        left = interruption.left
+        assert found == [], turn
+    assert turn > 10
+
+
+def test_read_between_two_steps_of_a_writer_finds_no_fault(place: Place) -> None:
+    """A registry that is read before every call of a writer has no fault, from its first version on.
+
+    One exception: until its line is written, an alias that is being dropped looks like one that vanished.
+    """
+    registry, reader = place("models"), place("models")
+    found: list[list[str]] = []
+    publish_fake(registry, "first")
+    sys.setprofile(Interruption(registry, lambda: found.append(faults(reader)), every=True))
+    begin(registry)
+    change(registry)
+    sys.setprofile(None)
+    assert len(found) > 50
+    assert {fault for each in found for fault in each} <= {f"{NAME} lost challenger"}

@@ -126,9 +126,14 @@ def test_history_is_not_cut_at_its_end() -> None:
 
 
 def test_history_with_numbers_has_a_recorded_end() -> None:
-    """A history whose lines are numbered has a recorded end. Without it, lines may have been cut off."""
+    """A history whose lines are numbered has a recorded end. Without it, lines may have been cut off.
+
+    The end is recorded after the line, so a writer at work, or one that was killed, leaves the first line without it.
+    """
     line = Event(PUBLISH, None, 1).stamped("ann", History().head, START, number=1).render()
-    assert History.parse(line).cut is not None
+    second = Event(PUBLISH, None, 2).stamped("ann", History.parse(line).head, START, number=2).render()
+    assert History.parse(line).problems == ()
+    assert History.parse(line + second).cut is not None
     assert History.parse(line, NO_HEAD).cut is not None
     assert History.parse(line, Head(1, hashlib.sha256(line).hexdigest())).problems == ()
 
