@@ -1,0 +1,234 @@
+"""Outlines: objects of any shape as simple polygons in metres, validated once, with the geometry of pushing.
+
+The frame is the caller's: any origin and any orientation. Corners are stored counter-clockwise. Distances compare every
+point with every edge, in chunks of bounded memory. Only additions, products, divisions and square roots are used, so
+that every processor computes the same bytes. numpy only.
+"""
+
+from collections.abc import Iterator, Sized
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from service.errors import InvalidRequestError
+from service.pushing.poses import WORLD_M, DoubleArray
+
+FEWEST_CORNERS: Final = 3
+MOST_CORNERS: Final = 512
+SMALLEST_EXTENT_M: Final = 0.005
+LARGEST_EXTENT_M: Final = 2.0
+MOST_SAMPLES: Final = 1_000_000  # cells of a grid
+_CORNERS: Final = "3 to 512 corners [x, y] in metres, in order around the outline"
+_TOUCH: Final = 1e-9  # of the extent: an edge that comes this near to another one touches it
+_THIN: Final = 1e-6  # of the extent: a polygon no wider than this has no area
+_CHUNK_PAIRS: Final = 1 << 17  # pairs of a point and an edge at a time: a few MB
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The outline of an object: a simple polygon. ``of`` validates it, and its arrays are read-only."""
+
+    corners: DoubleArray
+    """(n, 2) m, counter-clockwise, without a repeated last corner."""
+
+    @classmethod
+    def of(cls, corners: npt.ArrayLike, where: str = "outline") -> Self:
+        """Create an outline from corners (n, 2) in metres, clockwise or counter-clockwise.
+
+        Raises:
+            InvalidRequestError: there are fewer than 3 or more than 512 corners, a value is not finite, a corner is
+                repeated, edges cross or touch, there is no area, or the extent is under 5 mm or over 2 m. Names the
+                field, the corner or the edges, and the cure.
+        """
+        found = _checked_corners(corners, where)
+        _check_extent(found, where)
+        _check_repeats(found, where)
+        _check_area(found, where)
+        _check_crossings(found, where)
+        if _area_m2(found) < 0.0:
+            found = found[::-1].copy()
+        found.setflags(write=False)
+        return cls(found)
+
+    @property
+    def edges(self) -> DoubleArray:
+        """Return the edge vectors (n, 2) m. Edge i leads from corner i to the next one."""
+        return np.roll(self.corners, -1, axis=0) - self.corners
+
+    @cached_property
+    def area_m2(self) -> float:
+        """Return the area."""
+        return _area_m2(self.corners)
+
+    @cached_property
+    def centroid_m(self) -> DoubleArray:
+        """Return the centroid (2,) of the area."""
+        start, end, cross = self._fan(self.corners[0])
+        centroid: DoubleArray = self.corners[0] + ((start + end) * cross[:, None]).sum(axis=0) / (3.0 * cross.sum())
+        centroid.setflags(write=False)
+        return centroid
+
+    @cached_property
+    def size_m(self) -> float:
+        """Return the root mean square distance of the area from its centroid."""
+        start, end, cross = self._fan(self.centroid_m)
+        squares = (start**2 + start * end + end**2).sum(axis=1)
+        return float(np.sqrt((squares * cross).sum() / (6.0 * cross.sum())))
+
+    @cached_property
+    def extent_m(self) -> float:
+        """Return the largest distance between two corners."""
+        return _extent_m(self.corners)
+
+    def contains(self, points: DoubleArray) -> npt.NDArray[np.bool_]:
+        """Return (n,) true for the points (n, 2) inside. A point on the boundary may count as either."""
+        points = np.asarray(points, dtype=np.float64)
+        inside = np.empty(len(points), dtype=np.bool_)
+        start, end = self.corners, np.roll(self.corners, -1, axis=0)
+        for rows in self._chunks(len(points)):
+            x, y = points[rows, 0, None], points[rows, 1, None]
+            spans = (start[:, 1] <= y) != (end[:, 1] <= y)
+            left = (end[:, 0] - start[:, 0]) * (y - start[:, 1]) - (x - start[:, 0]) * (end[:, 1] - start[:, 1])
+            inside[rows] = (spans & ((left > 0.0) == (end[:, 1] > start[:, 1]))).sum(axis=1) % 2 == 1
+        return inside
+
+    def nearest(self, points: DoubleArray) -> tuple[DoubleArray, npt.NDArray[np.int64]]:
+        """Return the nearest boundary point (n, 2) of each of the points (n, 2), and the edge (n,) that it lies on."""
+        points = np.asarray(points, dtype=np.float64)
+        found = np.empty((len(points), 2))
+        edge = np.empty(len(points), dtype=np.int64)
+        for rows in self._chunks(len(points)):
+            near = _nearest_on_edges(points[rows], self.corners, self.edges)
+            edge[rows] = _squares(near - points[rows, None, :]).argmin(axis=1)
+            found[rows] = near[np.arange(len(near)), edge[rows]]
+        return found, edge
+
+    def distance_m(self, points: DoubleArray) -> DoubleArray:
+        """Return the distance (n,) of points (n, 2) from the boundary, negative inside."""
+        nearest, _ = self.nearest(points)
+        distance = np.sqrt(_squares(nearest - points))
+        return np.where(self.contains(points), -distance, distance)
+
+    def samples(self, spacing_m: float) -> DoubleArray:
+        """Return the points (k, 2) inside of an even grid along the axes, symmetric about the middle of the box.
+
+        Raises:
+            ValueError: the grid has more than a million points.
+        """
+        low, high = self.corners.min(axis=0), self.corners.max(axis=0)
+        counts = np.ceil((high - low) / spacing_m)
+        if not 0.0 < counts.prod() <= MOST_SAMPLES:
+            raise ValueError(f"a spacing of {spacing_m:g} m for an outline of {self.extent_m:g} m; use a wider one")
+        x, y = (
+            (low[axis] + high[axis]) / 2.0 + (np.arange(counts[axis]) - (counts[axis] - 1.0) / 2.0) * spacing_m
+            for axis in (0, 1)
+        )
+        grid = np.stack([np.tile(x, len(y)), np.repeat(y, len(x))], axis=1)
+        return grid[self.contains(grid)]
+
+    def _fan(self, about: DoubleArray) -> tuple[DoubleArray, DoubleArray, DoubleArray]:
+        """Return both ends (n, 2) of the edges, seen from a point, and twice the signed area (n,) that they span."""
+        start = self.corners - about
+        end = np.roll(start, -1, axis=0)
+        return start, end, start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
+
+    def _chunks(self, points: int) -> Iterator[slice]:
+        rows = max(1, _CHUNK_PAIRS // len(self.corners))
+        return (slice(first, first + rows) for first in range(0, points, rows))
+
+
+def _checked_corners(corners: npt.ArrayLike, where: str) -> DoubleArray:
+    """Return corners as float64 (n, 2), if they are numbers in that form."""
+    count = len(corners) if isinstance(corners, Sized) else 0
+    if not FEWEST_CORNERS <= count <= MOST_CORNERS:
+        raise InvalidRequestError.at(where, f"{count} corners", _CORNERS)
+    try:
+        found = np.array(corners)
+    except ValueError:  # rows of different lengths
+        found = np.array(None)
+    if found.ndim != 2 or found.shape[1] != 2 or found.dtype.kind not in "iuf":
+        raise InvalidRequestError.at(where, "corners that are not pairs of numbers", _CORNERS)
+    found = found.astype(np.float64)
+    faulty = ~(np.abs(found) <= WORLD_M).all(axis=1)  # not finite, or out of this world
+    if faulty.any():
+        corner = int(faulty.argmax())
+        received = f"[{found[corner, 0]:g}, {found[corner, 1]:g}]"
+        raise InvalidRequestError.at(
+            f"{where}.{corner}", received, f"finite numbers within {WORLD_M:g} m of the origin"
+        )
+    return found
+
+
+def _check_extent(corners: DoubleArray, where: str) -> None:
+    extent_m = _extent_m(corners)
+    if not SMALLEST_EXTENT_M <= extent_m <= LARGEST_EXTENT_M:
+        unit = "; are these millimetres?" if extent_m > LARGEST_EXTENT_M else ""
+        raise InvalidRequestError.at(where, f"an object of {extent_m:.4g} m across{unit}", "0.005 to 2 m, in metres")
+
+
+def _check_repeats(corners: DoubleArray, where: str) -> None:
+    """Refuse equal corners, wherever they stand."""
+    distance = _squares(corners[:, None, :] - corners[None, :, :])
+    distance[np.tril_indices(len(corners))] = np.inf
+    first, second = (int(index) for index in np.unravel_index(distance.argmin(), distance.shape))
+    if distance[first, second] <= (_TOUCH * _extent_m(corners)) ** 2:
+        closed = first == 0 and second == len(corners) - 1
+        accepted = "an outline without its first corner again at the end" if closed else "each corner once"
+        raise InvalidRequestError.at(f"{where}.{second}", f"the same point as corner {first}", accepted)
+
+
+def _check_area(corners: DoubleArray, where: str) -> None:
+    """Refuse corners that all lie on one line."""
+    far = int(_squares(corners - corners[0]).argmax())
+    across = np.abs(_sides(corners[:1], corners[far : far + 1], corners))
+    if across.max() <= _THIN * _squares(corners[far] - corners[0]):
+        raise InvalidRequestError.at(where, "corners on one line, without area", "a polygon around the object")
+
+
+def _check_crossings(corners: DoubleArray, where: str) -> None:
+    """Refuse edges that cross, overlap or touch other edges than their neighbours."""
+    count = len(corners)
+    start, end = corners, np.roll(corners, -1, axis=0)
+    near = _nearest_on_edges(corners, corners, end - start)
+    touch = _squares(near - corners[:, None, :]) <= (_TOUCH * _extent_m(corners)) ** 2  # (corner, edge)
+    index = np.arange(count)
+    touch[index, index] = touch[index, index - 1] = False  # the two edges that meet in the corner
+    side_start, side_end = (_sides(start, end, point) for point in (start, end))  # (edge, edge)
+    apart = side_start * side_end < 0.0
+    crossing = (apart & apart.T) | touch
+    if crossing.any():
+        first, second = sorted(int(index) for index in np.argwhere(crossing)[0])
+        accepted = "a simple polygon: corners in order around the outline, edges that only meet at their own corners"
+        received = f"edges {first} and {second} that cross or touch (edge i leads from corner i to the next)"
+        raise InvalidRequestError.at(where, received, accepted)
+
+
+def _sides(start: DoubleArray, end: DoubleArray, points: DoubleArray) -> DoubleArray:
+    """Return (edge, point) positive where a point is on the left of an edge."""
+    along, offset = (end - start)[:, None, :], points[None, :, :] - start[:, None, :]
+    return along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
+
+
+def _nearest_on_edges(points: DoubleArray, starts: DoubleArray, edges: DoubleArray) -> DoubleArray:
+    """Return the point (n, edges, 2) of each edge that is nearest to each of the points (n, 2)."""
+    offset = points[:, None, :] - starts
+    share = (offset[..., 0] * edges[:, 0] + offset[..., 1] * edges[:, 1]) / _squares(edges)
+    return starts + np.clip(share, 0.0, 1.0)[..., None] * edges
+
+
+def _squares(vectors: DoubleArray) -> DoubleArray:
+    """Return the squared lengths of vectors along the last axis."""
+    return vectors[..., 0] ** 2 + vectors[..., 1] ** 2
+
+
+def _extent_m(corners: DoubleArray) -> float:
+    return float(np.sqrt(_squares(corners[:, None, :] - corners[None, :, :]).max()))
+
+
+def _area_m2(corners: DoubleArray) -> float:
+    """Return the area, negative for clockwise corners."""
+    x, y = (corners - corners[0]).T
+    return float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum()) / 2.0
