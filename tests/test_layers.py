@@ -44,6 +44,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.observability service.model service.storage service.registry service.schemas service.inference "
         "service.transport service.bulk service.api.v1 service.connections service.app",
         "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
+        "training.tables": "service.errors service.files service.pushing service.bulk training.omnipush",
         "training.simulation": "service.errors service.processors service.pushing training.omnipush",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
@@ -68,7 +69,7 @@ EXCEPTIONS: Mapping[str, frozenset[str]] = {
 # Of the lower packages the trainer takes these modules only.
 TRAINING_TAKES: Mapping[str, str | tuple[str, ...]] = {
     "service.storage": "service.storage.disk",
-    "service.bulk": "service.bulk.executors",
+    "service.bulk": ("service.bulk.executors", "service.bulk.parquet_pages"),
     "service.cli": ("service.cli.terminal", "service.cli.command_line"),
 }
 # Libraries that every module of some packages may use.
@@ -91,6 +92,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.client": "httpx2 numpy orjson pydantic",
         "service.cli": "click pydantic pydantic_settings",
         "training.omnipush": "numpy tqdm",
+        "training.tables": "numpy pyarrow",
         "training.simulation": "mujoco numpy tqdm",
         "training.networks": "torch",
         "training.inspection": "matplotlib numpy tqdm",
