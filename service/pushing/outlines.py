@@ -24,7 +24,22 @@ MOST_SAMPLES: Final = 1_000_000  # cells of a grid
 _CORNERS: Final = "3 to 512 corners [x, y] in metres, in order around the outline"
 _TOUCH: Final = 1e-9  # of the extent: an edge that comes this near to another one touches it
 _THIN: Final = 1e-6  # of the extent: a polygon no wider than this has no area
-_CHUNK_PAIRS: Final = 1 << 17  # pairs of a point and an edge at a time: a few MB
+_CHUNK_PAIRS: Final = 1 << 15  # pairs of a point and an edge at a time, which stay in the cache of a processor
+
+
+@dataclass(frozen=True, eq=False)
+class Nearest:
+    """The nearest places of a boundary to n points."""
+
+    point_m: DoubleArray
+    """(n, 2) on the boundary."""
+    normal: DoubleArray
+    """(n, 2) unit vectors along the line from point to boundary, which point into the object.
+
+    At a corner, they turn with the point. On the boundary itself, they are those of the edge.
+    """
+    distance_m: DoubleArray
+    """(n,) of the points from the boundary, negative inside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +68,18 @@ class Outline:
         found.setflags(write=False)
         return cls(found)
 
-    @property
+    @cached_property
     def edges(self) -> DoubleArray:
         """Return the edge vectors (n, 2) m. Edge i leads from corner i to the next one."""
-        return np.roll(self.corners, -1, axis=0) - self.corners
+        edges: DoubleArray = np.roll(self.corners, -1, axis=0) - self.corners
+        edges.setflags(write=False)
+        return edges
+
+    @cached_property
+    def _inward(self) -> DoubleArray:
+        """Return the unit normals (n, 2) of the edges that point into the object."""
+        edges = self.edges
+        return np.stack([-edges[:, 1], edges[:, 0]], axis=1) / np.sqrt(_squares(edges))[:, None]
 
     @cached_property
     def area_m2(self) -> float:
@@ -95,22 +118,29 @@ class Outline:
             inside[rows] = (spans & ((left > 0.0) == (end[:, 1] > start[:, 1]))).sum(axis=1) % 2 == 1
         return inside
 
-    def nearest(self, points: DoubleArray) -> tuple[DoubleArray, npt.NDArray[np.int64]]:
-        """Return the nearest boundary point (n, 2) of each of the points (n, 2), and the edge (n,) that it lies on."""
+    def nearest(self, points: DoubleArray) -> "Nearest":
+        """Return the nearest places of the boundary to points (n, 2)."""
         points = np.asarray(points, dtype=np.float64)
-        found = np.empty((len(points), 2))
-        edge = np.empty(len(points), dtype=np.int64)
+        edge, share = np.empty(len(points), dtype=np.int64), np.empty(len(points))
         for rows in self._chunks(len(points)):
-            near = _nearest_on_edges(points[rows], self.corners, self.edges)
-            edge[rows] = _squares(near - points[rows, None, :]).argmin(axis=1)
-            found[rows] = near[np.arange(len(near)), edge[rows]]
-        return found, edge
+            squares, shares = _to_edges(points[rows], self.corners, self.edges)
+            edge[rows] = squares.argmin(axis=1)
+            share[rows] = shares[np.arange(len(shares)), edge[rows]]
+        found = self.corners[edge] + share[:, None] * self.edges[edge]
+        inward = self._inward[edge]
+        # At a corner, the sum of the normals of both edges tells on which side a point is (Baerentzen, Aanaes 2005).
+        beside = np.where(share == 0.0, edge - 1, np.where(share == 1.0, (edge + 1) % len(self.corners), edge))
+        offset = found - points
+        length = np.sqrt(_squares(offset))
+        outside = (offset * (inward + self._inward[beside])).sum(axis=1) >= 0.0
+        distance = np.where(outside, length, -length)
+        clear = length > _TOUCH * self.extent_m
+        normal = np.where(clear[:, None], offset / np.where(clear, distance, 1.0)[:, None], inward)
+        return Nearest(found, normal, distance)
 
     def distance_m(self, points: DoubleArray) -> DoubleArray:
         """Return the distance (n,) of points (n, 2) from the boundary, negative inside."""
-        nearest, _ = self.nearest(points)
-        distance = np.sqrt(_squares(nearest - points))
-        return np.where(self.contains(points), -distance, distance)
+        return self.nearest(points).distance_m
 
     def samples(self, spacing_m: float) -> DoubleArray:
         """Return the points (k, 2) inside of an even grid along the axes, symmetric about the middle of the box.
@@ -192,8 +222,8 @@ def _check_crossings(corners: DoubleArray, where: str) -> None:
     """Refuse edges that cross, overlap or touch other edges than their neighbours."""
     count = len(corners)
     start, end = corners, np.roll(corners, -1, axis=0)
-    near = _nearest_on_edges(corners, corners, end - start)
-    touch = _squares(near - corners[:, None, :]) <= (_TOUCH * _extent_m(corners)) ** 2  # (corner, edge)
+    squares, _ = _to_edges(corners, corners, end - start)  # (corner, edge)
+    touch = squares <= (_TOUCH * _extent_m(corners)) ** 2
     index = np.arange(count)
     touch[index, index] = touch[index, index - 1] = False  # the two edges that meet in the corner
     side_start, side_end = (_sides(start, end, point) for point in (start, end))  # (edge, edge)
@@ -212,11 +242,13 @@ def _sides(start: DoubleArray, end: DoubleArray, points: DoubleArray) -> DoubleA
     return along[..., 0] * offset[..., 1] - along[..., 1] * offset[..., 0]
 
 
-def _nearest_on_edges(points: DoubleArray, starts: DoubleArray, edges: DoubleArray) -> DoubleArray:
-    """Return the point (n, edges, 2) of each edge that is nearest to each of the points (n, 2)."""
-    offset = points[:, None, :] - starts
-    share = (offset[..., 0] * edges[:, 0] + offset[..., 1] * edges[:, 1]) / _squares(edges)
-    return starts + np.clip(share, 0.0, 1.0)[..., None] * edges
+def _to_edges(points: DoubleArray, starts: DoubleArray, edges: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
+    """Return the squared distances (n, edges) of points (n, 2) from edges, and where along each edge, in [0, 1]."""
+    x, y = points[:, 0, None] - starts[:, 0], points[:, 1, None] - starts[:, 1]
+    share = np.clip((x * edges[:, 0] + y * edges[:, 1]) / _squares(edges), 0.0, 1.0)
+    x -= share * edges[:, 0]
+    y -= share * edges[:, 1]
+    return x * x + y * y, share
 
 
 def _squares(vectors: DoubleArray) -> DoubleArray:

@@ -47,7 +47,7 @@ def test_area_centroid_and_size_are_those_of_the_polygon(corners: npt.ArrayLike)
 
 @any_shape
 def test_distances_are_those_of_the_polygon(corners: npt.ArrayLike) -> None:
-    """The distance of points all around is that of shapely, negative inside, with the nearest point on an edge."""
+    """The distance of points all around is that of shapely, negative inside, and leads to a point on it."""
     outline, polygon = Outline.of(corners), shapely.Polygon(np.array(corners))
     points = np.random.default_rng(3).uniform(-0.2, 0.2, (600, 2)) + outline.centroid_m
     inside = shapely.contains_xy(polygon, points)
@@ -55,11 +55,16 @@ def test_distances_are_those_of_the_polygon(corners: npt.ArrayLike) -> None:
     assert 0 < inside.sum() < 600
     assert (outline.contains(points) == inside).all()
     assert outline.distance_m(points) == pytest.approx(np.where(inside, -boundary, boundary), abs=1e-12)
-    nearest, edge = outline.nearest(points)
-    start, along = outline.corners[edge], outline.edges[edge]
-    off = along[:, 0] * (nearest - start)[:, 1] - along[:, 1] * (nearest - start)[:, 0]
-    assert np.sqrt(((points - nearest) ** 2).sum(axis=1)) == pytest.approx(boundary, abs=1e-12)
-    assert off == pytest.approx(np.zeros(600), abs=1e-12)
+    nearest = outline.nearest(points)
+    assert shapely.distance(polygon.exterior, shapely.points(nearest.point_m)).max() < 1e-12
+    assert points + nearest.distance_m[:, None] * nearest.normal == pytest.approx(nearest.point_m, abs=1e-12)
+
+
+def test_a_point_on_the_boundary_has_the_normal_of_its_edge() -> None:
+    """Normals point into the object: at a corner they depend on the point, on an edge and inside they do not."""
+    nearest = Outline.of(SQUARE).nearest(np.array([[0.05, 0.0], [0.05, -0.01], [0.05, 0.01], [-0.03, -0.04]]))
+    assert nearest.normal == pytest.approx(np.array([[0.0, 1.0], [0.0, 1.0], [0.0, 1.0], [0.6, 0.8]]))
+    assert nearest.distance_m == pytest.approx(np.array([0.0, 0.01, -0.01, 0.05]))
 
 
 def test_many_points_in_chunks_are_the_same_as_one_by_one() -> None:
