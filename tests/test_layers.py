@@ -122,6 +122,7 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.cli.serve": "starlette uvicorn",
         "training.publishing.onnx_export": "onnx",
         "training.simulation.camera": "PIL",
+        "training.simulation.pieces": "shapely",
     }.items()
 }
 LARGEST_PACKAGE = 13

@@ -1,6 +1,10 @@
 """Simulated pushes and drawn views that stand in for the published data.
 
-``solids`` and ``surfaces`` describe objects and plates, ``scene`` builds the MuJoCo model, and ``dataset`` simulates
-pushes with it. ``drawing`` draws top-down views, and ``camera`` makes them look like photographs. Calls point downward:
-of the trainer, this package imports ``omnipush`` alone.
+Any object: ``bodies`` spreads the weight of an outline over feet and draws the conditions of pushes, ``pushing``
+simulates pushes of it, quasi-static and vectorised. ``pieces`` cuts an outline into convex pieces for MuJoCo.
+
+Omnipush: ``solids`` and ``surfaces`` describe objects and plates, ``scene`` builds the MuJoCo model, and ``dataset``
+simulates pushes with it. ``drawing`` draws top-down views, and ``camera`` makes them look like photographs. ``exact``
+has functions whose values do not depend on the processor. Calls point downward: of the trainer, this package imports
+``omnipush`` alone.
 """

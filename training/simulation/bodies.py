@@ -1,0 +1,184 @@
+"""Bodies: objects of any outline, and how their weight is spread over the plate.
+
+A body rests on feet, points of its underside with a share of the weight each (``loads``). Sliding is quasi-static, so
+that the mass itself does not matter, only how it is shared. ``pressure`` names the spread: ``even`` over the underside,
+``rim`` near the outline, ``mixed`` a drawn share of both, ``few`` three to six points, as of a block on a rough plate.
+Loads always balance at the centre of mass.
+
+``Physics`` holds the constants that differ from body to body and from push to push. ``RECORDED`` is chosen by recorded
+pushes, see ``benchmarks/scene.py`` and docs/results/scene.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from service.pushing.outlines import Outline
+from training.simulation.exact import exp
+from training.simulation.surfaces import LEAST_FRICTION, Array
+
+PRESSURES: Final = ("even", "rim", "mixed", "few")
+EVEN_FEET: Final = 20  # at least so many in the grid under a body
+RIM_FEET: Final = 20
+RIM_INSET: Final = 0.15  # of the way from the outline to the centroid
+FEWEST_FEET, MOST_FEET = 3, 6  # of a body on few feet
+_TRIES: Final = 40
+_BALANCED: Final = 1e-9  # of the size
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Physical constants of simulated pushes: one set for all shapes."""
+
+    contact: float = 0.25
+    """Mean coefficient of friction of pusher and object."""
+    contact_spread: float = 0.05
+    """Its standard deviation from push to push."""
+    pressures: tuple[str, ...] = ("even", "rim", "mixed", "mixed")
+    """How weight is spread under a body, drawn for each body, all as likely."""
+    roughness: float = 0.5
+    """Standard deviation of the logarithm of each foot's friction, drawn for each push: plate and body are not flat,
+    and friction changes over the plate."""
+    misplaced_m: float = 0.0005
+    """Standard deviation of the object's place at the start of a push, along each axis, from the tracked one."""
+    misplaced_rad: float = 0.003
+    """Likewise of its yaw."""
+    tracker_std: tuple[float, float, float] = (1.66e-5, 1.66e-5, 2.33e-4)
+    """Of one reading of the tracker: m, m, rad (two readings of an untouched object differ by 0.0235 mm, 0.33 mrad)."""
+
+
+RECORDED: Final = Physics()
+
+
+@dataclass(frozen=True, eq=False)
+class Conditions:
+    """Conditions of n pushes of a body with k feet: what varies from push to push and is not recorded."""
+
+    loads: Array
+    """(k, n): friction of each foot, up to a common factor: its load times the coefficient of the plate there."""
+    contact: Array
+    """(n,): coefficient of friction of the pusher on the object."""
+    misplaced: Array
+    """(n, 3): the object's true pose before the push in the frame that the tracker sees: x_m, y_m, yaw_rad."""
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Body: outline, feet and the share of the weight on each, in the frame of the outline."""
+
+    outline: Outline
+    centre_of_mass_m: Array  # (2,)
+    feet_m: Array  # (k, 2)
+    loads: Array  # (k,), their sum is 1
+
+
+def body(outline: Outline, pressure: str, rng: np.random.Generator, centre_of_mass_m: Array | None = None) -> Body:
+    """Create a body whose weight is spread in a named way, with random numbers where the way has any.
+
+    Args:
+        outline: of the object.
+        pressure: one of ``PRESSURES``.
+        rng: generator of the random numbers.
+        centre_of_mass_m: (2,) in the frame of the outline, by default the centroid.
+
+    Raises:
+        ValueError: the name is not known, or no feet balance at the centre of mass, as it lies outside of the outline.
+    """
+    if pressure not in PRESSURES:
+        raise ValueError(f"pressure {pressure!r} is not one of {', '.join(PRESSURES)}")
+    centre = outline.centroid_m if centre_of_mass_m is None else np.asarray(centre_of_mass_m, dtype=np.float64)
+    if pressure == "few":
+        found = _on_few_feet(outline, centre, rng)
+        if found is not None:
+            return found
+    share = {"even": 0.0, "rim": 1.0, "few": 1.0}.get(pressure)
+    share = rng.uniform() if share is None else share
+    parts = [(even_feet(outline), 1.0 - share), (rim_feet(outline), share)]
+    parts = [part for part in parts if part[1] > 0.0]
+    feet = np.concatenate([part for part, _ in parts])
+    spread = np.concatenate([np.full(len(part), weight / len(part)) for part, weight in parts])
+    loads = balanced(feet, spread, centre, outline.size_m)
+    if loads is None:
+        raise ValueError("the centre of mass lies outside of the outline")
+    return Body(outline, centre, feet, loads)
+
+
+def draw_body(
+    outline: Outline, physics: Physics, rng: np.random.Generator, centre_of_mass_m: Array | None = None
+) -> Body:
+    """Draw how the weight of an object is spread, as the constants say."""
+    return body(outline, physics.pressures[rng.integers(len(physics.pressures))], rng, centre_of_mass_m)
+
+
+def draw_conditions(body: Body, physics: Physics, count: int, rng: np.random.Generator) -> Conditions:
+    """Draw the conditions of ``count`` pushes."""
+    rough = physics.roughness * rng.normal(size=(len(body.loads), count))
+    contact = rng.normal(physics.contact, physics.contact_spread, count)
+    misplaced = rng.normal(size=(count, 3)) * (physics.misplaced_m, physics.misplaced_m, physics.misplaced_rad)
+    return Conditions(body.loads[:, None] * exp(rough), np.maximum(contact, LEAST_FRICTION), misplaced)
+
+
+def even_conditions(body: Body, count: int, contact: float = RECORDED.contact) -> Conditions:
+    """Return conditions without variation."""
+    return Conditions(np.repeat(body.loads[:, None], count, axis=1), np.full(count, contact), np.zeros((count, 3)))
+
+
+def even_feet(outline: Outline) -> Array:
+    """Return the points of an even grid under an outline, (k, 2), at least ``EVEN_FEET`` of them."""
+    spacing_m = math.sqrt(outline.area_m2 / EVEN_FEET)
+    feet = outline.samples(spacing_m)
+    while len(feet) < EVEN_FEET:
+        spacing_m *= 0.9
+        feet = outline.samples(spacing_m)
+    return feet[:: len(feet) // EVEN_FEET] if len(feet) >= 2 * EVEN_FEET else feet
+
+
+def rim_feet(outline: Outline) -> Array:
+    """Return points along an outline, (k, 2), a little towards the centroid where that stays inside."""
+    lengths = np.sqrt((outline.edges**2).sum(axis=1))
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    along = (np.arange(RIM_FEET) + 0.5) / RIM_FEET * ends[-1]
+    edge = np.searchsorted(ends, along, side="right") - 1
+    on_rim = outline.corners[edge] + outline.edges[edge] * ((along - ends[edge]) / lengths[edge])[:, None]
+    inset = on_rim + RIM_INSET * (outline.centroid_m - on_rim)
+    return np.asarray(np.where(outline.contains(inset)[:, None], inset, on_rim))
+
+
+def balanced(feet_m: Array, spread: Array, centre_m: Array, size_m: float) -> Array | None:
+    """Return loads (k,) close to a spread (k,) that balance at a centre, or None if the feet do not surround it.
+
+    Of all loads that balance, these have the least relative entropy to the spread: the spread times the exponential of
+    a linear function, found by Newton's method.
+    """
+    arm = (feet_m - centre_m) / size_m
+    tilt = np.zeros(2)
+    for _ in range(_TRIES):
+        loads = spread * exp(arm[:, 0] * tilt[0] + arm[:, 1] * tilt[1])
+        loads /= loads.sum()
+        x, y = (loads * arm[:, 0]).sum(), (loads * arm[:, 1]).sum()
+        if abs(x) + abs(y) < _BALANCED:
+            return np.asarray(loads)
+        xx = (loads * arm[:, 0] ** 2).sum() - x * x
+        yy = (loads * arm[:, 1] ** 2).sum() - y * y
+        xy = (loads * arm[:, 0] * arm[:, 1]).sum() - x * y
+        determinant = xx * yy - xy * xy
+        if not determinant > 1e-12:
+            return None
+        step = np.array([(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant])
+        tilt = tilt - step * min(1.0, 2.0 / max(abs(step[0]), abs(step[1]), 1e-300))
+        if max(abs(tilt[0]), abs(tilt[1])) > 50.0:
+            return None
+    return None
+
+
+def _on_few_feet(outline: Outline, centre_m: Array, rng: np.random.Generator) -> Body | None:
+    """Return a body on a few random feet that surround the centre of mass well, or None if none were found."""
+    places = np.concatenate([even_feet(outline), rim_feet(outline)])
+    for _ in range(_TRIES):
+        feet = places[rng.choice(len(places), rng.integers(FEWEST_FEET, MOST_FEET + 1), replace=False)]
+        loads = balanced(feet, np.full(len(feet), 1.0 / len(feet)), centre_m, outline.size_m)
+        if loads is not None and loads.min() > 0.02:
+            return Body(outline, centre_m, feet, loads)
+    return None
