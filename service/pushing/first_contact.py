@@ -37,18 +37,22 @@ class FirstContact:
     """
 
 
-def first_contact(outline: Outline, pushers: DoubleArray, pusher_radius_m: npt.ArrayLike) -> FirstContact:
+def first_contact(
+    outline: Outline, pushers: DoubleArray, pusher_radius_m: npt.ArrayLike, direction: DoubleArray | None = None
+) -> FirstContact:
     """Return the first contacts of pushers (n, 4): x_m, y_m, angle_rad, length_m.
 
     Args:
         outline: the object.
         pushers: where the tip's centre starts, its direction, and its travel. A length of inf never ends.
         pusher_radius_m: radius of the tip, positive, one for all or (n,).
+        direction: unit vectors (n, 2) along the angles, if the caller has them to the same bits on every processor.
     """
     pushers = np.asarray(pushers, dtype=np.float64)
     radius_m = np.broadcast_to(np.asarray(pusher_radius_m, dtype=np.float64), len(pushers))
     start = pushers[:, :2]
-    direction = np.stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])], axis=1)
+    if direction is None:
+        direction = np.stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])], axis=1)
     distance = outline.distance_m(start)
     travel = np.empty(len(pushers))
     rows = max(1, _CHUNK_PAIRS // len(outline.corners))

@@ -21,6 +21,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from service.pushing.first_contact import first_contact
 from service.pushing.outlines import Outline
 from training.simulation.bodies import Body, Conditions, Physics, draw_conditions
 from training.simulation.exact import cos, directions, sin
@@ -33,7 +34,6 @@ ITERATIONS: Final = 3  # of each step
 _REST: Final = 0.02  # share of a step: a foot that moves less is held by less than its whole friction
 _CORNER: Final = 0.9  # cosine between the normals of two contacts that count as two
 _SWEEPS: Final = 6  # over two contacts in turns
-_APPROACHES: Final = 60
 _LEAST_M: Final = 1e-9
 
 
@@ -232,22 +232,17 @@ class _Edges:
 
 
 def _approach(outline: Outline, pushers: Array, radius_m: float) -> tuple[Array, Array, Array]:
-    """Return places (2, n) and headings (2, n) of rods at their first contact, and the travel (n,) that is left."""
+    """Return places (2, n) and headings (2, n) of rods at their first contact, and the travel (n,) that is left.
+
+    A rod that overlaps the outline at the start is moved out of it.
+    """
     heading = directions(pushers[:, 2])
-    place = _moved_out(outline, pushers[:, :2], radius_m)
-    left = pushers[:, 3].copy()
-    for _ in range(_APPROACHES):
-        gap = np.clip(outline.distance_m(place) - radius_m, 0.0, left)
-        place, left = place + heading * gap[:, None], left - gap
-    return place.T, heading.T, np.where(left > _LEAST_M, left, 0.0)
-
-
-def _moved_out(outline: Outline, places: Array, radius_m: float) -> Array:
-    """Return the places (n, 2) of rods, those that overlap the outline moved until they touch it."""
-    nearest, _ = outline.nearest(places)
-    distance = outline.distance_m(places)
-    away = (places - nearest) / np.where(distance == 0.0, np.inf, distance)[:, None]
-    return np.where((distance < radius_m)[:, None], nearest + radius_m * away, places)
+    travel_m = first_contact(outline, pushers, radius_m, heading).travel_m
+    left = np.maximum(pushers[:, 3] - travel_m, 0.0)  # none of a miss
+    place = pushers[:, :2] + heading * (pushers[:, 3] - left)[:, None]
+    nearest = outline.nearest(place)
+    out = np.maximum(radius_m - nearest.distance_m, 0.0)
+    return (place - out[:, None] * nearest.normal).T, heading.T, left
 
 
 def _placed(pushers: Array, misplaced: Array) -> Array:

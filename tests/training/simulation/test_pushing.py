@@ -108,7 +108,7 @@ def test_the_frame_of_the_outline_may_have_any_origin() -> None:
     pushers = some_pushers(10)
     (x, y, yaw), (far_x, far_y, far_yaw) = (
         push(pushers).T,
-        push((*pushers, *offset, 0.0, 0.0), moved).T,
+        push(pushers + np.array([*offset, 0.0, 0.0]), moved).T,
     )
 
     assert far_yaw == pytest.approx(yaw, abs=1e-6)
