@@ -1,5 +1,6 @@
-"""Statistics of a set of pushes beside the published ones of Omnipush."""
+"""Statistics of a set of pushes: means and deviations beside those of Omnipush, and quantiles of the motion."""
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ QUANTITIES: Final = (
     "object y_m",
     "object yaw_rad",
 )
+QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 # A push that moved the object by less than both missed it. Both limits are above the tracker's noise.
 CONTACT_DISPLACEMENT_M: Final = 0.001
 CONTACT_TURN_RAD: Final = 0.015
@@ -56,3 +58,24 @@ def missed(outcomes: npt.NDArray[np.floating[Any]]) -> npt.NDArray[np.bool_]:
     """Return a mask, (...), of the pushes that did not move the object, from outcomes (..., 3)."""
     still = np.hypot(outcomes[..., 0], outcomes[..., 1]) < CONTACT_DISPLACEMENT_M
     return np.asarray(still & (np.abs(outcomes[..., 2]) < CONTACT_TURN_RAD))
+
+
+@dataclass(frozen=True)
+class MotionQuantiles:
+    """Quantiles of the motion of objects: distance and turn of the pushes that moved one, and the share that did not.
+
+    Means and deviations of two datasets may agree while one has no glancing push. Only quantiles show that.
+    """
+
+    still_share: float  # of all pushes, below both limits of contact
+    distance_mm: tuple[float, ...]  # at QUANTILES, of the pushes that moved the object by over 1 mm; NaN without any
+    turn_deg: tuple[float, ...]  # of the same pushes, without the sign
+
+
+def motion_quantiles(outcomes: npt.NDArray[np.floating[Any]]) -> MotionQuantiles:
+    """Compute the quantiles of outcomes, (n, 3), x_m, y_m, yaw_rad."""
+    distance = np.hypot(outcomes[:, 0], outcomes[:, 1])
+    moved = distance > CONTACT_DISPLACEMENT_M
+    rows = [1e3 * distance[moved], np.abs(np.degrees(outcomes[moved, 2]))]
+    levels = [tuple(np.quantile(row, QUANTILES).tolist()) if moved.any() else (math.nan,) * 5 for row in rows]
+    return MotionQuantiles(float(missed(outcomes).mean()), *levels)

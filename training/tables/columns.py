@@ -14,6 +14,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from service.errors import DataError
 from service.pushing.poses import DoubleArray
 from training.tables.csv_file import csv_batches, csv_header
 from training.tables.files import Header, TableFile
@@ -73,13 +74,16 @@ def require(file: TableFile, header: Header, names: Iterable[str]) -> None:
     Raises:
         DataError: a column is missing. The message names the nearest one, and the names that are there.
     """
-    missing = [name for name in names if name not in header.names]
+    if not any(header.names):
+        raise file.fault("has an empty first line; expected the names of the columns there")
+    wanted = tuple(names)
+    missing = [name for name in wanted if name not in header.names]
     if missing:
-        folded = {name.lower().replace(" ", "_"): name for name in header.names}
-        near = difflib.get_close_matches(missing[0], folded, n=1, cutoff=0.6)
-        advice = f"rename column {folded[near[0]]!r}" if near else "add it"
+        folded = {name.lower().replace(" ", "_"): name for name in header.names if name not in wanted}
+        near = difflib.get_close_matches(missing[0], folded, n=1, cutoff=0.7)
+        advice = f"rename {folded[near[0]]!r} to {missing[0]}" if near else "add it"
         there = ", ".join(header.names[:20])
-        raise file.fault(f"has no column {', '.join(missing)}: {advice} (it has {there[:300]}; see docs/data.md)")
+        raise file.fault(f"has no column {', '.join(missing)}; {advice} (there are: {there[:300]}; see docs/data.md)")
 
 
 def read_columns(file: TableFile, header: Header, wanted: Wanted) -> Columns:
@@ -153,64 +157,75 @@ class _Collector:
         return batch.slice(0, end)
 
     def _convert(self, name: str, column: Any) -> DoubleArray:
-        """Return the numbers of a column of a batch."""
-        plain = column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
+        """Return the numbers of a column of a batch. Texts that are stored once are converted once."""
+        distinct = column.dictionary if pa.types.is_dictionary(column.type) else column
         try:
-            numbers = plain.cast(pa.float64(), safe=False)
+            numbers = distinct.cast(pa.float64(), safe=False)
         except pa.ArrowException:  # white space around a number, or no number
-            numbers = self._cell_by_cell(name, plain.cast(pa.large_string()))
+            numbers = self._trimmed(name, column, distinct.cast(pa.large_string()))
         values: DoubleArray = numbers.to_numpy(zero_copy_only=False)
+        if pa.types.is_dictionary(column.type):
+            values = np.append(values, np.nan)[_codes(column)]
         is_optional = name in self._wanted.optional
         faulty = ~(np.abs(values) <= LARGEST)  # NaN too
         faulty &= ~np.isnan(values) if is_optional else True
         if faulty.any():
             row = int(faulty.argmax())
-            cell = plain[row].as_py()
+            cell = column[row].as_py()
             received = "an empty cell" if cell is None else _shown(cell)
             raise self._file.fault_at(self.rows + row, name, received, f"{_accepted(name)}, finite and under 1e6")
         return values
 
-    def _cell_by_cell(self, name: str, column: Any) -> Any:
+    def _trimmed(self, name: str, column: Any, distinct: Any) -> Any:
+        """Return texts as numbers, without white space around them."""
         try:
-            return pc.utf8_trim_whitespace(column).cast(pa.float64())
+            return pc.utf8_trim_whitespace(distinct).cast(pa.float64())
         except pa.ArrowException:
-            for row, cell in enumerate(column.to_pylist()):
+            for code in range(len(distinct)):
+                cell = distinct[code].as_py()
                 if cell is not None and not _is_number(cell):
                     comma = " with a point, not a comma" if _is_number(cell.replace(",", ".", 1)) else ""
-                    raise self._file.fault_at(self.rows + row, name, _shown(cell), _accepted(name) + comma) from None
-            raise  # the library and Python disagree about a number
+                    row = self.rows + _row_of(column, code)
+                    raise self._file.fault_at(row, name, _shown(cell), _accepted(name) + comma) from None
+            raise
 
     def _add_texts(self, name: str, column: Any) -> None:
         """Add the texts of a column, or drop a column of labels that has too many distinct ones."""
         is_label = name not in self._wanted.names
         if not pa.types.is_dictionary(column.type):
             column = column.cast(pa.large_string()).dictionary_encode()
-        found = self._texts[name]
-        numbers = []
-        for cell in column.dictionary.to_pylist():
-            text = "" if cell is None else str(cell).strip()
+        found, index = self._texts[name], []
+        for code in range(len(column.dictionary)):
+            text = (column.dictionary[code].as_py() or "").strip()
             if len(text) > MAX_NAME or len(found.known) > (MAX_LABELS if is_label else MAX_VALUES):
                 if is_label:
                     self._dropped.append(name)
                     del self._texts[name]
                     return
-                row = _row_of(column, cell)
                 limit = f"up to {MAX_VALUES} names of at most {MAX_NAME} characters"
-                raise self._file.fault_at(self.rows + row, name, f"{len(text)} characters: {_shown(text)}", limit)
-            numbers.append(found.known.setdefault(text, len(found.known)))
-        places = column.indices.fill_null(len(numbers)).to_numpy(zero_copy_only=False).astype(np.int64)
-        if column.null_count or "" in found.known:
-            self._check_filled(name, column, is_label)
-            numbers.append(found.known.setdefault("", len(found.known)))
-        else:
-            numbers.append(-1)
-        found.parts.append(np.array(numbers, dtype=np.int64)[places])
+                raise self._fault_in(column, code, name, f"{_shown(text)} of {len(text)} characters", limit)
+            if not text and not is_label:
+                raise self._fault_in(column, code, name, "an empty cell", "a name")
+            index.append(found.known.setdefault(text, len(found.known)))
+        if column.null_count and not is_label:
+            raise self._fault_in(column, len(index), name, "an empty cell", "a name")
+        index.append(found.known.setdefault("", len(found.known)) if column.null_count else -1)
+        found.parts.append(np.array(index, dtype=np.int64)[_codes(column)])
 
-    def _check_filled(self, name: str, column: Any, is_label: bool) -> None:
-        """Refuse an empty cell in a column of names."""
-        for row, cell in enumerate(column.to_pylist()):
-            if not is_label and not (cell or "").strip():
-                raise self._file.fault_at(self.rows + row, name, "an empty cell", "a name")
+    def _fault_in(self, column: Any, code: int, name: str, received: str, accepted: str) -> DataError:
+        """Create the error about the first row of a batch that holds a distinct text."""
+        return self._file.fault_at(self.rows + _row_of(column, code), name, received, accepted)
+
+
+def _codes(column: Any) -> IndexArray:
+    """Return the index of each row into the distinct texts of a column. An empty cell has the index behind the last."""
+    codes = column.indices.fill_null(len(column.dictionary)).to_numpy(zero_copy_only=False)
+    return np.asarray(codes, dtype=np.int64)
+
+
+def _row_of(column: Any, code: int) -> int:
+    """Return the first row of a column of texts that holds a distinct one, or the row itself if each is stored."""
+    return int(np.argmax(_codes(column) == code)) if pa.types.is_dictionary(column.type) else code
 
 
 def _first(empty: npt.NDArray[np.bool_], offset: int) -> int | None:
@@ -221,22 +236,18 @@ def _mask(column: Any) -> npt.NDArray[np.bool_]:
     return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.bool_)
 
 
-def _row_of(column: Any, cell: str) -> int:
-    return next(row for row, value in enumerate(column.to_pylist()) if value == cell)
-
-
 def _is_number(text: str) -> bool:
     try:
-        float(text)
-    except ValueError:
+        pa.scalar(text.strip()).cast(pa.float64())
+    except pa.ArrowException:
         return False
-    return "_" not in text
+    return True
 
 
 def _shown(cell: object) -> str:
     """Return a cell for a message, cut if it is long."""
-    text = repr(cell) if isinstance(cell, str) else str(cell)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+    text = repr(cell[: _SHOWN + 1]) if isinstance(cell, str) else str(cell)
+    return text if len(text) <= _SHOWN + 2 else f"{text[:_SHOWN]}..."
 
 
 def _accepted(name: str) -> str:

@@ -101,10 +101,10 @@ def _fault(file: TableFile, columns: int, uneven: list[pc.InvalidRow], error: Ex
     """Return the error about a file that the library refused."""
     if uneven:
         row = uneven[0]
-        return file.fault(
-            f"line {row.number} has {row.actual_columns} cells, but the header has {columns} columns; "
-            "correct that line (a decimal comma makes two cells of one number)"
-        )
+        cells = f"line {row.number} has {row.actual_columns} {'cell' if row.actual_columns == 1 else 'cells'}"
+        is_open = row.text.count('"') % 2
+        hint = "it has a quote that is not closed" if is_open else "a decimal comma makes two cells of one number"
+        return file.fault(f"{cells}, but the header has {columns} columns; correct that line ({hint})")
     reason = str(error).splitlines()[0]
     if "UTF8" in reason:
         return file.fault(f"line {_undecodable_line(file)} is not text in UTF-8; {_AS_CSV}")

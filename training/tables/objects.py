@@ -33,9 +33,8 @@ def read_objects(file: TableFile) -> tuple[TableObject, ...]:
     header = read_header(file)
     key = name_column(header.names)
     require(file, header, (key, *CORNER))
-    for one, other in (CENTRE, CENTRE[::-1]):
-        if one in header.names:
-            require(file, header, (other,))
+    if set(CENTRE) & set(header.names):
+        require(file, header, CENTRE)
     known = tuple(name for name in PROPERTIES if name in header.names)
     columns = read_columns(file, header, Wanted(CORNER, known, (key,)))
     names, index = columns.texts[key].values, columns.texts[key].index
@@ -76,15 +75,17 @@ def _object(file: TableFile, columns: Columns, name: str, start: int, end: int) 
 
 
 def _outline(file: TableFile, corners: DoubleArray, name: str) -> Outline:
+    extent = float(np.ptp(corners, axis=0).max())
+    if extent > _LARGEST_M:
+        unit, factor = ("centimetres", 100) if extent < _LARGEST_M * 20 else ("millimetres", 1000)
+        raise file.fault(
+            f"object {name!r} is {extent:.4g} m across; accepted are up to {_LARGEST_M:g} m: "
+            f"if its corners are in {unit}, divide them by {factor}"
+        )
     try:
         return Outline.of(corners, f"object {name!r}, outline")
     except InvalidRequestError as error:
-        extent = float(np.ptp(corners, axis=0).max()) if len(corners) else 0.0
-        advice = ""
-        for unit, factor in (("centimetres", 100.0), ("millimetres", 1000.0)):
-            if extent > _LARGEST_M and extent / factor <= _LARGEST_M:
-                advice = f"; if these are {unit}, divide x_m and y_m by {factor:.0f}"
-        raise file.fault(f"{error}{advice}") from error
+        raise file.fault(str(error)) from error
 
 
 def _property(file: TableFile, columns: Columns, key: str, start: int, end: int) -> float | None:

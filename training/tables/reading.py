@@ -27,6 +27,7 @@ RADIUS: Final = "pusher_radius_m"
 SURFACE: Final = "surface"
 POSE_SUFFIXES: Final = ("_x_m", "_y_m", "_yaw_rad")
 UNKNOWN_SOURCE: Final = "pushes of undeclared origin"
+MAX_SOURCE: Final = 200  # characters
 MAX_PEERS: Final = 8
 MAX_LABEL_COLUMNS: Final = 16
 
@@ -67,7 +68,7 @@ def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
         pusher_radius_m=numbers[RADIUS] if radius else np.full(columns.rows, DEFAULT_PUSHER_RADIUS_M),
         surfaces=surfaces.values,
         surface_index=surfaces.index,
-        source=read_declared(pushes.path.parent, "source", UNKNOWN_SOURCE),
+        source=read_declared(pushes.path.parent, "source", UNKNOWN_SOURCE)[:MAX_SOURCE],
         digest="",
         peers={peer: np.column_stack([numbers[peer + suffix] for suffix in POSE_SUFFIXES]) for peer in peers},
         labels={name: columns.texts[name] for name in labels if name in columns.texts},
@@ -81,8 +82,8 @@ def _check_positive(file: TableFile, columns: Columns, names: tuple[str, ...]) -
         wrong = columns.numbers[name] <= 0.0
         if wrong.any():
             row = int(wrong.argmax())
-            received = f"{columns.numbers[name][row]:g}"
-            raise file.fault_at(row, name, received, "a positive number; the angle alone says which way")
+            advice = "a positive number" + ("; push_angle_rad says which way" if name == "push_length_m" else "")
+            raise file.fault_at(row, name, f"{columns.numbers[name][row]:g}", advice)
 
 
 def _object_index(

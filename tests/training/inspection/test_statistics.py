@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.training.synthetic_omnipush import plausible_pushes
-from training.inspection.statistics import QUANTITIES, compare_statistics, missed
+from training.inspection.statistics import QUANTILES, QUANTITIES, compare_statistics, missed, motion_quantiles
 from training.omnipush.published import Normalisation, published_normalisation
 
 
@@ -43,3 +43,14 @@ def test_the_ratio_is_one_where_the_spread_is_the_published_one() -> None:
 def test_a_push_that_neither_moved_nor_turned_the_object_missed(outcome: list[float], is_missed: bool) -> None:
     """A push missed if the object moved by less than a millimetre and turned by less than 15 mrad, as by noise."""
     assert missed(np.array([outcome])).tolist() == [is_missed]
+
+
+def test_quantiles_of_motion_are_of_the_pushes_that_moved() -> None:
+    """Quantiles leave out the pushes that moved nothing, whose share is given, and the sign of a turn."""
+    outcomes = np.array([[0.003, 0.004, -0.1], [0.0, 0.015, 0.3], [0.025, 0.0, 0.2], [0.0, 0.0, 0.001]])
+    found = motion_quantiles(outcomes)
+
+    assert found.still_share == 0.25
+    assert found.distance_mm[2] == pytest.approx(15.0)
+    assert found.turn_deg[2] == pytest.approx(np.degrees(0.2))
+    assert found.distance_mm == pytest.approx(np.quantile([5.0, 15.0, 25.0], QUANTILES))
