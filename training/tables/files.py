@@ -92,6 +92,10 @@ def find_files(path: Path, objects_file: Path | None = None) -> tuple[TableFile,
     Raises:
         DataError: a file is missing, or present in two formats.
     """
+    if not path.exists():
+        raise DataError(
+            f"{path} does not exist; name a folder with {PUSHES}.csv and {OBJECTS[0]}.csv (see docs/data.md)"
+        )
     folder = path if path.is_dir() else path.parent
     pushes = _only(folder, (PUSHES,), "pushes") if path.is_dir() else path
     objects = objects_file or _only(folder, OBJECTS, "outlines")

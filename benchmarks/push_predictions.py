@@ -1,0 +1,201 @@
+"""Predictions of a table of pushes: nothing moves, mechanics, published models through the client, and peers.
+
+Omnipush's models put the origin at the object's centre, so a table's frame is shifted to the centroid for them, and
+their answers are shifted back, spreads included. They know pushes of 50 mm by a tip of 4.75 mm. Other pushes are left
+out for them, and a note says so.
+"""
+
+import io
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+from tqdm import tqdm
+
+from service.client import Client
+from service.client.calls import Context
+from service.errors import DataError
+from service.pushing import mechanics
+from service.pushing.images import BODY_LEVEL, FIELD_OF_VIEW_M
+from service.pushing.outlines import Outline
+from service.pushing.poses import PUSH_LENGTH_M, REACH_M, DoubleArray
+from service.schemas.contexts import ContextBody
+from training.omnipush.views import VIEW_PIXELS
+from training.tables.push_table import DEFAULT_PUSHER_RADIUS_M, PushTable
+
+NOTHING: Final = "nothing moves"
+MECHANICS: Final = "mechanics"
+BATCH: Final = 10_000  # pushes that the service answers at once
+KNOWN_WITHIN_M: Final = 0.001  # of length and tip: Omnipush's models are asked for no other push
+ASKED_AS: Final = {"none": "the push alone", "visual": "a view drawn from the outline"}
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """Predictions of one model for n pushes of a table, in its frame.
+
+    Attributes:
+        name: the model.
+        knows: the model's knowledge of an object.
+        mean: (n, 3).
+        covariance: (n, 3, 3), or None for a model without spread.
+        rows: (n,) true for the pushes that the model answers. The others hold zeros.
+        notes: sentences about the pushes that were left out, and about pictures.
+    """
+
+    name: str
+    knows: str
+    mean: DoubleArray
+    covariance: DoubleArray | None
+    rows: npt.NDArray[np.bool_]
+    notes: tuple[str, ...] = ()
+
+
+def predicted_without_model(table: PushTable) -> Iterator[Predicted]:
+    """Yield the predictions that need no model: nothing moves, mechanics, and the peers of the table."""
+    everywhere = np.ones(table.count, dtype=np.bool_)
+    yield Predicted(NOTHING, "-", np.zeros((table.count, 3)), None, everywhere)
+    knows = "outline"
+    if any(item.centre_of_mass_m or item.friction is not None for item in table.objects):
+        knows = "outline; centre of mass and friction where the table has them"
+    yield Predicted(MECHANICS, knows, quasi_static(table), None, everywhere)
+    for name, mean in table.peers.items():
+        yield Predicted(name, "a peer's column of the table", mean, None, everywhere)
+
+
+def quasi_static(table: PushTable) -> DoubleArray:
+    """Return the outcomes (n, 3) of quasi-static mechanics, with the table's centres of mass and friction."""
+    found = np.zeros((table.count, 3))
+    with tqdm(total=table.count, desc=MECHANICS, unit="push", disable=None) as bar:
+        for number, item in enumerate(table.objects):
+            rows = table.object_index == number
+            friction = mechanics.FRICTION if item.friction is None else item.friction
+            found[rows] = mechanics.push(
+                item.outline, table.pushers[rows], table.pusher_radius_m[rows], friction, item.centre_of_mass_m
+            )
+            bar.update(int(rows.sum()))
+    return found
+
+
+def predicted_by_models(
+    table: PushTable, folder: Path, wanted: Callable[[str], bool], notes: list[str]
+) -> Iterator[Predicted]:
+    """Yield the predictions of every published version of a registry that can take the table's objects.
+
+    Args:
+        table: the pushes.
+        folder: the registry.
+        wanted: the choice of versions, by ``name@version``.
+        notes: filled with a sentence about each model that cannot take an outline.
+
+    Raises:
+        RegistryError: the registry cannot be read.
+        ModelNotReadyError: no model in it can be loaded.
+    """
+    with Client.local(str(folder)) as client:
+        views: list[Context] = []
+        for model in client.list_models().models:
+            versions = [version for version in model.versions if wanted(f"{model.name}@{version}")]
+            if not versions:
+                continue
+            if model.context_kind not in ASKED_AS:
+                notes.append(
+                    f"{model.name} is not asked: its context is of kind {model.context_kind}, which no outline gives."
+                )
+                continue
+            if model.context_kind == "visual" and not views:
+                views = list(_views(table, client))
+            for version in versions:
+                contexts = views if model.context_kind == "visual" else []
+                yield _answer(table, client, f"{model.name}@{version}", model.context_kind, contexts)
+
+
+def _answer(table: PushTable, client: Client, name: str, kind: str, contexts: Sequence[Context]) -> Predicted:
+    """Ask a version for every push of the kind that it knows."""
+    centres = np.array([item.outline.centroid_m for item in table.objects])[table.object_index]
+    pushers = table.pushers[:, :3] - np.column_stack([centres, np.zeros(table.count)])
+    known = np.abs(table.pushers[:, 3] - PUSH_LENGTH_M) <= KNOWN_WITHIN_M
+    known &= np.abs(table.pusher_radius_m - DEFAULT_PUSHER_RADIUS_M) <= KNOWN_WITHIN_M
+    known &= (np.abs(pushers[:, :2]) <= REACH_M).all(axis=1)
+    mean, std = np.zeros((table.count, 3)), np.ones((table.count, 3))
+    rows = np.flatnonzero(known)
+    for part in _parts(rows, name):
+        index = table.object_index[part] if contexts else None
+        found = client.predict_batch(pushers[part], list(contexts) or None, index, model=name)
+        mean[part], std[part] = found.mean, found.std
+    mean[known], covariance = _shifted_back(mean[known], std[known], centres[known])
+    whole = np.tile(np.eye(3), (table.count, 1, 1))
+    whole[known] = covariance
+    notes = []
+    if not known.all():
+        notes.append(
+            f"{name}: {table.count - len(rows)} pushes are left out, because it knows pushes of 50 mm by a tip of "
+            "4.75 mm radius only, within 1 mm, that start within 1 m."
+        )
+    if contexts and (clipped := [item.name for item in table.objects if not _fits(item.outline)]):
+        names = ", ".join(clipped[:8]) + (" ..." if len(clipped) > 8 else "")
+        notes.append(f"{name}: its view of 160 mm does not hold all of {len(clipped)} objects ({names}).")
+    return Predicted(name, ASKED_AS[kind], mean, whole, known, tuple(notes))
+
+
+def _shifted_back(mean: DoubleArray, std: DoubleArray, centres: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
+    """Return predictions about centres as means (n, 3) and covariances (n, 3, 3) of the table's frame.
+
+    The frame's origin moves to c + d - R(yaw) c, if the centre c moves by d.
+    """
+    cos, sin = np.cos(mean[:, 2]), np.sin(mean[:, 2])
+    turned = np.column_stack([cos * centres[:, 0] - sin * centres[:, 1], sin * centres[:, 0] + cos * centres[:, 1]])
+    shifted = mean.copy()
+    shifted[:, :2] += centres - turned
+    jacobian = np.tile(np.eye(3), (len(mean), 1, 1))
+    jacobian[:, 0, 2], jacobian[:, 1, 2] = turned[:, 1], -turned[:, 0]
+    return shifted, np.einsum("nij,nj,nkj->nik", jacobian, std**2, jacobian)
+
+
+def _views(table: PushTable, client: Client) -> Iterator[ContextBody]:
+    """Yield the visual context of each object, from a picture as a user of the service would send it."""
+    for item in tqdm(table.objects, desc="views", unit="object", disable=None):
+        content = io.BytesIO()
+        Image.fromarray(view(item.outline)).save(content, "PNG")
+        yield ContextBody(visual=client.make_context(content.getvalue()).visual)
+
+
+def view(outline: Outline) -> npt.NDArray[np.uint8]:
+    """Draw an outline about its centroid, uint8 [481, 481], by ``service.pushing.images.IMAGE_CONVENTION``."""
+    pixel_m = FIELD_OF_VIEW_M / VIEW_PIXELS
+    offset = (np.arange(VIEW_PIXELS) - VIEW_PIXELS // 2) * pixel_m
+    middle = np.stack(np.meshgrid(offset, -offset), axis=-1).reshape(-1, 2) + outline.centroid_m
+    covered = np.clip(0.5 - outline.distance_m(middle) / pixel_m, 0.0, 1.0).reshape(VIEW_PIXELS, VIEW_PIXELS)
+    return np.floor(covered * BODY_LEVEL * 255.0 + 0.5).astype(np.uint8)
+
+
+def _fits(outline: Outline) -> bool:
+    return bool(np.abs(outline.corners - outline.centroid_m).max() <= FIELD_OF_VIEW_M / 2.0)
+
+
+def _parts(rows: npt.NDArray[np.int64], name: str) -> Iterable[npt.NDArray[np.int64]]:
+    with tqdm(total=len(rows), desc=name, unit="push", disable=None) as bar:
+        for first in range(0, len(rows), BATCH):
+            yield rows[first : first + BATCH]
+            bar.update(len(rows[first : first + BATCH]))
+
+
+def choose(table: PushTable, shapes: Sequence[str], limit: int | None) -> PushTable:
+    """Return the pushes of some objects, and at most so many of them, drawn with a fixed seed.
+
+    Raises:
+        DataError: the table has no such object.
+    """
+    if shapes:
+        names = [item.name for item in table.objects]
+        unknown = [name for name in shapes if name not in names]
+        if unknown:
+            raise DataError(f"--shapes: the table has no object {unknown[0]!r}; it has {', '.join(names[:20])}")
+        table = table.select(np.isin(table.object_index, [names.index(name) for name in shapes]))
+    if limit is not None and limit < table.count:
+        table = table.select(np.sort(np.random.default_rng(0).choice(table.count, limit, replace=False)))
+    return table

@@ -1,0 +1,122 @@
+"""Measuring stick: every model's error and honesty on a table of pushes, recorded or simulated, of any objects.
+
+    python -m benchmarks.real_pushes FOLDER [--out docs/results/real-pushes] [--models NAME ...] [--shapes NAME ...]
+
+FOLDER holds pushes.csv and objects.csv, or both as Parquet (docs/data.md describes the columns). Scored are:
+
+    nothing moves    the object stays where it is
+    mechanics        quasi-static mechanics of the outline, nothing fitted (service/pushing/mechanics.py)
+    NAME@VERSION     every published version of ours that can take the objects, through the client in this process
+    a peer           predictions that the table holds beside its outcomes: NAME_x_m, NAME_y_m, NAME_yaw_rad
+
+Printed are mean and median errors with the interval of the mean, RMSE and NLL in published deviations, coverage of
+intervals and joint regions, and how far pushes from the same start end apart. With --out, a page with all of it per
+object and surface is written, with a plot and the figures. The rows of the table are not copied.
+"""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.push_measures import repeats, score
+from benchmarks.push_predictions import Predicted, choose, predicted_by_models, predicted_without_model
+from benchmarks.real_pushes_page import OVERALL, Findings, ModelScores, overall_table, repeats_text, worth, write_page
+from service.client import ClientError
+from service.errors import CazslError, DataError
+from training.tables.push_table import PushTable
+from training.tables.reading import read_table
+
+
+def measured(table: PushTable, predicted: Predicted) -> ModelScores | None:
+    """Return the scores of a model over all pushes that it answers, and per object and surface."""
+    groups = {OVERALL: predicted.rows}
+    for item, found in enumerate(table.objects):
+        for surface, name in enumerate(table.surfaces):
+            group = (table.object_index == item) & (table.surface_index == surface) & predicted.rows
+            groups[f"{found.name}, {name}"] = group
+    scores = {
+        name: score(
+            table.outcomes[rows],
+            predicted.mean[rows],
+            None if predicted.covariance is None else predicted.covariance[rows],
+        )
+        for name, rows in groups.items()
+        if rows.any()
+    }
+    return ModelScores(predicted.name, predicted.knows, scores) if scores else None
+
+
+def find(table: PushTable, options: argparse.Namespace) -> Findings:
+    """Score the chosen models on a table.
+
+    Raises:
+        CazslError: the models cannot be read, or none of the chosen ones can be scored.
+    """
+    notes: list[str] = []
+    models = []
+
+    def wanted(name: str) -> bool:
+        """True if a model is among the chosen ones, by its name with or without a version."""
+        return not options.models or name in options.models or name.partition("@")[0] in options.models
+
+    found = [one for one in predicted_without_model(table) if wanted(one.name)]
+    if not options.models or {name.partition("@")[0] for name in options.models} - {one.name for one in found}:
+        found += predicted_by_models(table, options.models_folder, wanted, notes)
+    for one in found:
+        scores = measured(table, one)
+        notes += one.notes
+        if scores is not None:
+            models.append(scores)
+    if not models:
+        raise DataError(f"--models: none of {', '.join(options.models)} can be scored here; leave it out for all")
+    source = options.source or table.source
+    return Findings(table, source, command(options), models, notes, repeats(table))
+
+
+def command(options: argparse.Namespace) -> str:
+    """Return the command that made the findings, without the places of files."""
+    parts = ["python -m benchmarks.real_pushes FOLDER"]
+    for name, values in (("models", options.models), ("shapes", options.shapes)):
+        parts += [f"--{name} {' '.join(values)}"] if values else []
+    if options.limit is not None:
+        parts.append(f"--limit {options.limit}")
+    return " ".join(parts)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Score, print, and write the page."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.real_pushes",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="a table of pushes: a folder, or a file of pushes")
+    parser.add_argument("--objects", type=Path, help="the file of outlines; by default beside the pushes")
+    parser.add_argument("--out", type=Path, help="write page, plot and figures into this folder")
+    parser.add_argument("--models", nargs="+", default=[], metavar="NAME", help="score these only, such as mechanics")
+    parser.add_argument("--models-folder", type=Path, default=Path("models"), help="registry of published models")
+    parser.add_argument("--shapes", nargs="+", default=[], metavar="NAME", help="objects to score on; all by default")
+    parser.add_argument("--limit", type=int, metavar="N", help="score on N pushes, drawn with a fixed seed")
+    parser.add_argument("--source", default="", help="origin and credit of the pushes, as the page shall name them")
+    options = parser.parse_args(arguments)
+    if options.limit is not None and options.limit < 1:
+        parser.error("--limit: a positive number of pushes")
+    try:
+        table = choose(read_table(options.folder, options.objects), options.shapes, options.limit)
+        findings = find(table, options)
+    except (CazslError, ClientError) as error:
+        sys.exit(f"error: {error}")
+    print(overall_table(findings.models))
+    for text in (*findings.notes, repeats_text(findings.repeats), worth(findings.models).replace("**", "")):
+        if text:
+            print(f"\n{text}")
+    if options.out is None:
+        print("\nnext: --out FOLDER writes this with every object and surface, a plot and the figures")
+    else:
+        write_page(options.out, findings)
+        print(f"\nwrote {options.out}; next: read {options.out / 'README.md'}")
+
+
+if __name__ == "__main__":
+    main()
