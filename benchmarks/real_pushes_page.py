@@ -27,7 +27,8 @@ PAGE: Final = """# Recorded pushes
 `{command}` scores models on {pushes:,} pushes of {objects}
 on {surfaces} (digest {digest}..., cazsl {version}).
 
-{source}The position error is the distance of the predicted from the recorded pose of the object, in the frame of the table. Two
+{source}\
+The position error is the distance of the predicted from the recorded pose of the object, in the frame of the table. Two
 numbers are mean and median. Brackets hold the 95 % interval of the mean, if other pushes of the same kind had been
 made. RMSE and NLL (per push, summed over x, y and yaw) are in units of the published output deviations of Omnipush.
 Coverage is the share of outcomes inside the predicted 50, 90 and 95 % intervals of each coordinate, and inside the
