@@ -34,7 +34,7 @@ $(VENV)/dev: pyproject.toml | $(BIN)/python
 serve: $(VENV)/serving ## serve models/ on 127.0.0.1:8000 (no torch needed)
 	$(BIN)/cazsl serve
 
-data: $(VENV)/training ## simulate the default datasets into data/simulated
+data: $(VENV)/training ## simulate the default datasets into data/approach
 	$(BIN)/cazsl-train simulate
 
 MODEL := push-indicator

@@ -13,7 +13,8 @@ import numpy as np
 from mujoco import rollout
 
 from service.processors import processors
-from training.simulation.dataset import TRACKER_STD, push_object, relative
+from training.simulation.dataset import push_object, relative
+from training.simulation.plans import RING
 from training.simulation.scene import PUSHER_RADIUS_M
 from training.simulation.solids import Solid
 from training.simulation.surfaces import SURFACES, FrictionField, draw_conditions
@@ -43,11 +44,11 @@ def main() -> None:
     for name, surface in SURFACES.items():
         rng = np.random.default_rng(0)
         conditions = draw_conditions(surface, FrictionField(surface, rng), repeats, rng)
-        pushers = relative(start, rng.normal(0.0, TRACKER_STD, start.shape))  # the robot trusts the tracker
+        pushers = relative(start, rng.normal(0.0, RING.tracker_std, start.shape))  # the robot trusts the tracker
         with rollout.Rollout(nthread=threads) as pool:
             outcomes = push_object(block, pushers, conditions, pool, threads, push_length_m=0.150)
         x_m, y_m, yaw_rad = outcomes.mean(axis=0)
-        seen = outcomes + rng.normal(0.0, TRACKER_STD, outcomes.shape)
+        seen = outcomes + rng.normal(0.0, RING.tracker_std, outcomes.shape)
         position_mm = 1e3 * np.sqrt(seen[:, :2].var(axis=0).sum())
         rotation_deg = np.degrees(seen[:, 2].std())
         mean = f"{1e3 * x_m:.1f}, {1e3 * y_m:.1f}, {np.degrees(yaw_rad):.1f}"

@@ -22,8 +22,8 @@ def data() -> None:
 
     \b
     cazsl-train data check data/omnipush           content and faults of a copy of Omnipush
-    cazsl-train data report data/simulated/abs     a page with statistics, histograms and a gallery of pushes
-    cazsl-train data export data/simulated/abs OUT the same pushes, raw and normalised
+    cazsl-train data report data/approach/abs      a page with statistics, histograms and a gallery of pushes
+    cazsl-train data export data/approach/abs OUT  the same pushes, raw and normalised
     """
 
 

@@ -7,7 +7,7 @@ from service.cli.command_line import HELP, CommandLine
 from training.cli.data import data
 from training.cli.reproduction import reproduce
 from training.cli.runs import evaluate, fit_recipe, publish
-from training.cli.simulation import draw_images, simulate_pushes
+from training.cli.simulation import draw_images, simulate
 
 
 @click.group(cls=CommandLine, context_settings=HELP)
@@ -28,5 +28,5 @@ def main() -> None:
     """
 
 
-for command in (simulate_pushes, draw_images, data, fit_recipe, evaluate, publish, reproduce):
+for command in (simulate, draw_images, data, fit_recipe, evaluate, publish, reproduce):
     main.add_command(command)

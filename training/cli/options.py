@@ -1,6 +1,8 @@
-"""Options that several commands share."""
+"""Options that several commands share, and groups with a default command."""
 
 from pathlib import Path
+
+import click
 
 from service.cli.command_line import FOLDER, argument, option
 from training.omnipush.layout import DEFAULT_DATA
@@ -27,3 +29,17 @@ registry_option = option(
     help="Folder of the model registry.",
 )
 run_argument = argument("run", type=FOLDER)
+
+
+class DefaultGroup(click.Group):
+    """Group that runs its first command if the command line names none of them."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the first command's name in front of arguments that are its own."""
+        if not args or args[0] not in {*self.commands, *ctx.help_option_names}:
+            args = [next(iter(self.commands)), *args]
+        return super().parse_args(ctx, args)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """List the commands as added, the default one first."""
+        return list(self.commands)

@@ -9,40 +9,66 @@ import click
 
 from service.cli.command_line import FILE, FOLDER, argument, option
 from service.cli.terminal import echo
+from training.cli.options import DefaultGroup
 from training.inspection.statistics import compare_statistics, missed
 from training.inspection.text import statistics_lines
-from training.omnipush.layout import SIMULATED
+from training.omnipush.layout import SIMULATED, data_options
 from training.omnipush.published import different_surfaces, omnipush_descriptors, published_normalisation
 from training.omnipush.pushes import read_folder
 from training.omnipush.views import VIEWS_FOLDER, read_views
-from training.simulation.dataset import SimulationPlan, simulate_dataset
+from training.simulation.dataset import Simulation, simulate_dataset
 from training.simulation.drawing import write_views
+from training.simulation.plans import DEFAULT_PLAN, PLANS
 from training.simulation.surfaces import ABS, SURFACES
 
 DEFAULT_VIEWS: Final = SIMULATED / VIEWS_FOLDER
 DEFAULT_CAMERA_VIEWS: Final = SIMULATED / f"{VIEWS_FOLDER}-camera"
 
 
-@click.command("simulate")
-@argument("folder", type=FOLDER, default=SIMULATED)
+@click.group("simulate", cls=DefaultGroup)
+def simulate() -> None:
+    """Simulate pushes: of Omnipush's objects, unless another command is named.
+
+    \b
+    cazsl-train simulate                        all 250 objects of Omnipush, into data/approach
+    cazsl-train simulate FOLDER                 ... into another folder
+    cazsl-train simulate --plan ring            the data of the committed tables, into data/simulated
+    cazsl-train simulate omnipush -h            all options
+    """
+
+
+@simulate.command("omnipush", short_help="The objects of Omnipush, in Omnipush's file format (the default).")
+@argument("folder", type=FOLDER, required=False)
+@option(
+    "--plan",
+    "plan_name",
+    type=click.Choice(list(PLANS)),
+    default=DEFAULT_PLAN.name,
+    show_default=True,
+    help="; ".join(f"{plan.name}: {plan.summary}" for plan in PLANS.values()) + ".",
+)
 @option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="Surface.")
 @option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
 @option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
 @option("--threads", type=click.IntRange(1, 1024), help="Threads. Files do not depend on it. [default: all cores]")
-def simulate_pushes(folder: Path, surface: str, pushes: int, seed: int, threads: int | None) -> None:
+def simulate_omnipush(
+    folder: Path | None, plan_name: str, surface: str, pushes: int, seed: int, threads: int | None
+) -> None:
     """Simulate the default datasets in Omnipush's file format: FOLDER/abs, FOLDER/plywood, FOLDER/top-down_view.
 
-    All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, in MuJoCo, and drawn from above.
-    Existing files are kept. The default FOLDER is data/simulated.
+    All 250 objects of Omnipush are pushed on ABS and the published ten on plywood, and drawn from above. Existing files
+    are kept. The default FOLDER is the plan's: data/approach, or data/simulated for the ring.
     """
+    plan = PLANS[plan_name]
+    folder = folder or plan.folder
     for name in SURFACES if surface == "all" else (surface,):
         objects = omnipush_descriptors() if name == ABS.name else different_surfaces().test
-        plan = SimulationPlan(objects, pushes, seed, SURFACES[name])
         started = time.perf_counter()
-        simulated = simulate_dataset(plan, folder / name, threads)
+        simulated = simulate_dataset(Simulation(objects, pushes, seed, SURFACES[name], plan), folder / name, threads)
         _describe_pushes(folder / name, simulated, time.perf_counter() - started)
         write_views(folder / VIEWS_FOLDER, objects)
-    echo(f"{folder / VIEWS_FOLDER}: top-down views of the objects; next: cazsl-train fit push-indicator")
+    data = data_options(folder / ABS.name, None)
+    echo(f"{folder / VIEWS_FOLDER}: top-down views of the objects; next: cazsl-train fit push-indicator{data}")
 
 
 def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
@@ -71,7 +97,7 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
 def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
     """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
 
-    The default FOLDER is data/simulated/top-down_view, with --camera data/simulated/top-down_view-camera. Existing
+    The default FOLDER is data/approach/top-down_view, with --camera data/approach/top-down_view-camera. Existing
     views are kept. The files depend on object and seed alone.
     """
     if gallery is not None:

@@ -17,7 +17,7 @@ from typing import Final
 from service.errors import DataError
 from training.omnipush.files import holds_pushes
 
-SIMULATED: Final = Path("data/simulated")
+SIMULATED: Final = Path("data/approach")  # of the default plan of training.simulation.plans
 DEFAULT_DATA: Final = SIMULATED / "abs"
 _DEPTH: Final = 2  # levels below the folder named that are searched: meta-learning_data/plywood
 

@@ -188,7 +188,8 @@ def _select_known(
         if result is not None and result.origin != data[run.data_index].origin:
             raise DataError(
                 f"{run.name}: the known figures are of {result.origin}, the data here {data[run.data_index].origin}; "
-                "give the data that they are of, or leave the known figures out"
+                "give the data that they are of, or leave the known figures out (simulated pushes whose source has no "
+                "plan are those of cazsl-train simulate --plan ring: --data data/simulated/abs)"
             )
     return selected
 

@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.pushing.contexts import ObjectContext, Side
+from service.pushing.outlines import Outline
 
 Polygon = npt.NDArray[np.float64]  # (corners, 2), convex, counter-clockwise, metres
 
@@ -33,6 +34,7 @@ CONCAVE_BITE_HALF_WIDTH_M: Final = 0.025  # half width of the circular arc that 
 CONCAVE_BITE_DEPTH_M: Final = 0.014
 CONCAVE_SLABS: Final = 8  # convex pieces under the bite; a horn on either side makes two more
 ARC_CORNERS: Final = 24  # corners of a half disc
+_SEAM_M: Final = 1e-9  # a point no further out lies on the core's face
 
 WEIGHT_RADIUS_M: Final = 0.010
 WEIGHT_MASS_KG: Final = {"a": 0.0, "b": 0.060, "c": 0.150, "B": 0.060, "C": 0.150}
@@ -119,6 +121,18 @@ def solid(context: ObjectContext) -> Solid:
             x_m, y_m = _point(turn, _weight_distance_m(side))
             weights.append(Weight(x_m, y_m, WEIGHT_MASS_KG[side.weight]))
     return Solid(tuple(pieces), tuple(weights), tuple(feet))
+
+
+def outline(context: ObjectContext) -> Outline:
+    """Build the outline of an object: from corner to corner of the core, around the pieces of each side."""
+    corner = (CORE_HALF_WIDTH_M, -CORE_HALF_WIDTH_M)
+    parts = []
+    for quarter_turns, side in enumerate(context.sides):
+        points = np.unique(np.concatenate(SIDE_SHAPES[side.shape]()), axis=0)
+        outer = points[points[:, 0] > CORE_HALF_WIDTH_M + _SEAM_M]
+        around = np.array([corner, *outer[np.argsort(outer[:, 1], kind="stable")]])  # every side widens with no y twice
+        parts.append(around @ _quarter_turn(quarter_turns).T)
+    return Outline.of(np.concatenate(parts))
 
 
 def clearance_m(piece: Polygon, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -23,7 +23,7 @@ def test_every_command_explains_itself(command: str) -> None:
 
     assert result.exit_code == 0
     assert result.output.startswith("Usage: ")
-    assert "data/simulated" in result.output
+    assert "data/approach" in result.output
 
 
 def test_the_version_is_the_package_s() -> None:

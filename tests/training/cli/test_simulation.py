@@ -12,14 +12,14 @@ from training.omnipush.declaration import declare_dataset
 from training.omnipush.published import different_surfaces, omnipush_descriptors
 from training.omnipush.pushes import read_folder
 from training.omnipush.views import VIEWS_FOLDER, view_file_name
-from training.simulation.dataset import SimulationPlan
+from training.simulation.dataset import Simulation
 from training.simulation.drawing import write_views
 
 
 def test_simulate_continues_and_describes_the_dataset(data_folder: Path, tmp_path: Path) -> None:
     """Two missing objects of 250 are simulated, and the whole folder is described beside the published statistics."""
     folder, left = tmp_path / "abs", omnipush_descriptors()[3:5]
-    declare_dataset(folder, SimulationPlan(omnipush_descriptors(), pushes_per_object=2, seed=4).declaration())
+    declare_dataset(folder, Simulation(omnipush_descriptors(), pushes_per_object=2, seed=4).declaration())
     for path in data_folder.glob("*.npy"):
         if not path.name.startswith(left):
             shutil.copy(path, folder / path.name)
@@ -34,7 +34,7 @@ def test_simulate_continues_and_describes_the_dataset(data_folder: Path, tmp_pat
     assert found.digest in result.stdout
     assert "object yaw_rad" in result.stdout
     assert re.search(r"^4 pushes took \d+ s, [\d.]+ ms a push$", result.stdout, re.MULTILINE)
-    assert result.stdout.endswith("next: cazsl-train fit push-indicator\n")
+    assert result.stdout.endswith(f"next: cazsl-train fit push-indicator --data {folder}\n")
     assert found.valid[[found.descriptors.index(descriptor) for descriptor in left]].sum(axis=1).tolist() == [2, 2]
     assert missing_view.is_file()
 
@@ -49,6 +49,36 @@ def test_simulate_pushes_the_published_ten_on_plywood(tmp_path: Path) -> None:
     assert "PLYWOOD" in found.source
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plywood", "top-down_view"]
     assert len(list((tmp_path / "top-down_view").glob("shape_*.npy"))) == 10
+
+
+def test_simulate_is_a_group_whose_first_command_is_the_default(tmp_path: Path) -> None:
+    """A named first command and none of them write the same bytes, and the help of the group shows both."""
+    options = ["--surface", "plywood", "--pushes", "1", "--threads", "1"]
+    named, unnamed = tmp_path / "named", tmp_path / "unnamed"
+
+    assert cazsl_train("simulate", "omnipush", named, *options).exit_code == 0
+    assert cazsl_train("simulate", *options, unnamed).exit_code == 0
+    assert read_folder(named / "plywood").digest == read_folder(unnamed / "plywood").digest
+    assert "\n  omnipush " in cazsl_train("simulate", "--help").output
+
+
+def test_simulate_names_the_plan_in_the_source(tmp_path: Path) -> None:
+    """The plan ring has the source of the committed tables, the default one its name."""
+    options = ["--surface", "plywood", "--pushes", "1", "--threads", "1"]
+    ring = cazsl_train("simulate", tmp_path / "ring", "--plan", "ring", *options)
+    approach = cazsl_train("simulate", tmp_path / "approach", *options)
+
+    assert re.search(r"simulated pushes \(MuJoCo [\d.]+, PLYWOOD, seed 0\)", ring.stdout)
+    assert "plan approach, PLYWOOD, seed 0)" in approach.stdout
+
+
+def test_simulate_names_the_plans_that_there_are(tmp_path: Path) -> None:
+    """An unknown plan is a usage error that lists the known ones."""
+    result = cazsl_train("simulate", tmp_path, "--plan", "circle")
+
+    assert result.exit_code == 2
+    assert "approach" in result.stderr
+    assert "ring" in result.stderr
 
 
 def test_simulate_refuses_a_folder_of_other_pushes(data_folder: Path, tmp_path: Path) -> None:

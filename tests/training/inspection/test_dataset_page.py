@@ -9,14 +9,14 @@ from matplotlib.figure import Figure
 
 from training.inspection.dataset_page import GALLERY_FILE, HISTOGRAMS_FILE, REPORT_FILE, gallery, report, write_report
 from training.omnipush.pushes import Pushes, read_folder
-from training.simulation.dataset import SimulationPlan, simulate_dataset
+from training.simulation.dataset import Simulation, simulate_dataset
 
 
 @pytest.fixture(scope="module")
 def pushes(tmp_path_factory: pytest.TempPathFactory) -> Pushes:
     """Ten pushes of three objects."""
     folder = tmp_path_factory.mktemp("pushes")
-    simulate_dataset(SimulationPlan(("1a2b3c4a", "2B3a2C1a", "4a4a4a4a"), 10), folder, threads=1, quiet=True)
+    simulate_dataset(Simulation(("1a2b3c4a", "2B3a2C1a", "4a4a4a4a"), 10), folder, threads=1, quiet=True)
     return read_folder(folder)
 
 

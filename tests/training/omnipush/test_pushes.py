@@ -27,7 +27,7 @@ from training.omnipush.pushes import (
     read_folder,
     write_object,
 )
-from training.simulation.dataset import SimulationPlan, simulate_dataset
+from training.simulation.dataset import Simulation, simulate_dataset
 
 Array = npt.NDArray[np.float64]
 
@@ -387,7 +387,7 @@ def test_writing_leaves_only_the_two_files(tmp_path: Path) -> None:
 def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with a few simulated pushes of three objects."""
     folder = tmp_path_factory.mktemp("simulated") / "abs"
-    simulate_dataset(SimulationPlan(omnipush_descriptors()[:3], pushes_per_object=5), folder, threads=1, quiet=True)
+    simulate_dataset(Simulation(omnipush_descriptors()[:3], pushes_per_object=5), folder, threads=1, quiet=True)
     return folder
 
 

@@ -1,0 +1,135 @@
+"""Starts and aims over the whole approach to an object of any outline.
+
+A **touching** push comes from a random direction, with its line anywhere over the outline's width, the pusher's own
+included, and starts between touch and one length of the push before its first contact. Both are uniform, so every part
+of the push may be left at contact, and glancing pushes are as frequent as their width. The lines of a share of them are
+drawn near the centroid instead (``Approach.central_share``), as those who collect pushes aim at the object. A
+**missing** push starts where a touching one may, heads anywhere, and never reaches the object.
+
+Only functions of ``exact`` and exact operations are used, so that every processor draws the same bytes.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from service.pushing.outlines import Outline
+from training.simulation.exact import Array, directions
+
+LEAST_GAP_M: Final = 0.0005  # between tip and outline along the push, above the noise of a tracker
+_GRAZE_M: Final = 1e-6  # a line that passes nearer to the edge of the width may miss by rounding
+_FAR: Final = 3.0  # in extents of the outline
+_TRIES: Final = 8  # headings drawn at once for a push that misses
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Distribution of starts and aims. The touching pushes that are not central pass anywhere over the outline."""
+
+    miss_share: float = 0.1
+    central_share: float = 0.0  # of the touching pushes
+    central_half_width: float = 0.6  # of their lines' distances from the centroid, in sizes of the outline
+
+    def __post_init__(self) -> None:
+        """Refuse shares that are none.
+
+        Raises:
+            ValueError: a share is outside 0..1, or every push misses.
+        """
+        if not (0.0 <= self.miss_share < 1.0 and 0.0 <= self.central_share <= 1.0 and self.central_half_width > 0.0):
+            raise ValueError(f"shares are 0 to 1, the share that misses below 1, the half width positive: {self}")
+
+
+def draw_pushers(
+    outline: Outline,
+    lengths_m: Array,
+    pusher_radius_m: float,
+    rng: np.random.Generator,
+    approach: Approach = Approach(),
+) -> Array:
+    """Draw pushes of an object that start clear of it.
+
+    The share that misses is met by the nearest whole number of pushes, in random places of the order.
+
+    Args:
+        outline: the object.
+        lengths_m: (n,) length of each push.
+        pusher_radius_m: radius of the tip.
+        rng: source of all random numbers.
+        approach: distribution of starts and aims.
+
+    Returns:
+        (n, 4): x_m, y_m, angle_rad, length_m, in the frame of the outline.
+    """
+    angles = rng.uniform(-np.pi, np.pi, len(lengths_m))
+    central = rng.uniform(0.0, 1.0, len(lengths_m)) < approach.central_share
+    starts = _touching_starts(outline, lengths_m, pusher_radius_m, angles, central, approach, rng)
+    missing = rng.permutation(len(lengths_m))[: round(approach.miss_share * len(lengths_m))]
+    while len(missing):
+        headings = rng.uniform(-np.pi, np.pi, (len(missing), _TRIES))
+        travel = travel_to_touch_m(
+            outline, np.repeat(starts[missing], _TRIES, axis=0), directions(headings.ravel()), pusher_radius_m
+        )
+        misses = travel.reshape(headings.shape) > lengths_m[missing, None]
+        found, first = misses.any(axis=1), misses.argmax(axis=1)
+        angles[missing[found]] = headings[found, first[found]]
+        missing = missing[~found]
+    return np.column_stack([starts, angles, lengths_m])
+
+
+def _touching_starts(
+    outline: Outline,
+    lengths_m: Array,
+    radius_m: float,
+    angles: Array,
+    central: np.ndarray,
+    approach: Approach,
+    rng: np.random.Generator,
+) -> Array:
+    """Return the starts (n, 2) of pushes in the given directions that touch the outline."""
+    ahead = directions(angles)
+    left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
+    corners = outline.corners - outline.centroid_m
+    across = corners[:, 0] * left[:, :1] + corners[:, 1] * left[:, 1:]  # (n, corners)
+    reach_m = radius_m - _GRAZE_M
+    low, high = across.min(axis=1) - reach_m, across.max(axis=1) + reach_m
+    half_width_m = approach.central_half_width * outline.size_m
+    low = np.where(central, np.maximum(low, -half_width_m), low)
+    high = np.where(central, np.minimum(high, half_width_m), high)
+    offset = low + rng.uniform(0.0, 1.0, len(angles)) * (high - low)
+    far = outline.centroid_m + offset[:, None] * left - _FAR * outline.extent_m * ahead
+    gap = LEAST_GAP_M + rng.uniform(0.0, 1.0, len(angles)) * (lengths_m - LEAST_GAP_M)
+    travel = travel_to_touch_m(outline, far, ahead, radius_m)
+    return far + (travel - gap)[:, None] * ahead
+
+
+def travel_to_touch_m(outline: Outline, starts: Array, ahead: Array, radius_m: float) -> Array:
+    """Compute how far tips travel until they touch the outline.
+
+    The outline widened by the radius is met in an edge, moved outwards, or in the arc around a corner.
+
+    Args:
+        outline: the object.
+        starts: (n, 2) of the tips, clear of the outline.
+        ahead: (n, 2) unit vectors of the pushes.
+        radius_m: radius of the tips.
+
+    Returns:
+        (n,) m, infinite for a push whose line passes by.
+    """
+    x, y = (starts[:, axis, None] - outline.corners[:, axis] for axis in (0, 1))  # (n, corners)
+    u, v = ahead[:, :1], ahead[:, 1:]
+    along = x * u + y * v
+    square = along * along - (x * x + y * y - radius_m * radius_m)
+    corner = -along - np.sqrt(np.maximum(square, 0.0))
+    corner = np.where((square >= 0.0) & (corner >= 0.0), corner, np.inf)
+    edge_x, edge_y = outline.edges.T
+    length = np.sqrt(edge_x * edge_x + edge_y * edge_y)
+    out_x, out_y = edge_y / length, -edge_x / length  # corners are counter-clockwise
+    towards = -(u * out_x + v * out_y)
+    facing = towards > 0.0
+    edge = (x * out_x + y * out_y - radius_m) / np.where(facing, towards, 1.0)
+    share = ((x + edge * u) * edge_x + (y + edge * v) * edge_y) / (length * length)
+    edge = np.where(facing & (edge >= 0.0) & (share >= 0.0) & (share <= 1.0), edge, np.inf)
+    return np.asarray(np.minimum(corner.min(axis=1), edge.min(axis=1)))
