@@ -101,7 +101,7 @@ def _touching_starts(
     far = outline.centroid_m + offset[:, None] * left - _FAR * outline.extent_m * ahead
     gap = LEAST_GAP_M + rng.uniform(0.0, 1.0, len(angles)) * (lengths_m - LEAST_GAP_M)
     travel = travel_to_touch_m(outline, far, ahead, radius_m)
-    return far + (travel - gap)[:, None] * ahead
+    return np.asarray(far + (travel - gap)[:, None] * ahead)
 
 
 def travel_to_touch_m(outline: Outline, starts: Array, ahead: Array, radius_m: float) -> Array:
