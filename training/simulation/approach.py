@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from service.pushing.first_contact import first_contact
 from service.pushing.outlines import Outline
 from training.simulation.exact import Array, directions
 
@@ -105,31 +106,6 @@ def _touching_starts(
 
 
 def travel_to_touch_m(outline: Outline, starts: Array, ahead: Array, radius_m: float) -> Array:
-    """Compute how far tips travel until they touch the outline.
-
-    The outline widened by the radius is met in an edge, moved outwards, or in the arc around a corner.
-
-    Args:
-        outline: the object.
-        starts: (n, 2) of the tips, clear of the outline.
-        ahead: (n, 2) unit vectors of the pushes.
-        radius_m: radius of the tips.
-
-    Returns:
-        (n,) m, infinite for a push whose line passes by.
-    """
-    x, y = (starts[:, axis, None] - outline.corners[:, axis] for axis in (0, 1))  # (n, corners)
-    u, v = ahead[:, :1], ahead[:, 1:]
-    along = x * u + y * v
-    square = along * along - (x * x + y * y - radius_m * radius_m)
-    corner = -along - np.sqrt(np.maximum(square, 0.0))
-    corner = np.where((square >= 0.0) & (corner >= 0.0), corner, np.inf)
-    edge_x, edge_y = outline.edges.T
-    length = np.sqrt(edge_x * edge_x + edge_y * edge_y)
-    out_x, out_y = edge_y / length, -edge_x / length  # corners are counter-clockwise
-    towards = -(u * out_x + v * out_y)
-    facing = towards > 0.0
-    edge = (x * out_x + y * out_y - radius_m) / np.where(facing, towards, 1.0)
-    share = ((x + edge * u) * edge_x + (y + edge * v) * edge_y) / (length * length)
-    edge = np.where(facing & (edge >= 0.0) & (share >= 0.0) & (share <= 1.0), edge, np.inf)
-    return np.asarray(np.minimum(corner.min(axis=1), edge.min(axis=1)))
+    """Compute the travel (n,) m of tips at (n, 2) along unit vectors (n, 2) to their first contact, inf for a miss."""
+    endless = np.full((len(starts), 2), np.inf)  # the angle is not used, as the direction is given
+    return first_contact(outline, np.hstack([starts, endless]), radius_m, ahead).travel_m
