@@ -50,7 +50,7 @@ RING_SHA256 = (
     "b6629a53d801b52420a45646a48ca32e585c865fb3d3cfed9467d0a03372c574",  # with AVX-512
     "db0f77cda7b655edf547c7f04721b47f907a06e7359e1425ac43137770ee6566",
 )
-APPROACH_SHA256 = "1b0a08143da00c61572bad632f7647c8e12c8bfa09281fcb62baba35e29fd184"
+APPROACH_SHA256 = "568931b9045834b6f696243fc1da17da38add802e90ab942a20198a59ad5721b"
 SIMULATE_A_LITTLE = """
 import sys, pathlib
 from training.simulation.dataset import Simulation, simulate_dataset
