@@ -46,7 +46,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
         "training.tables": "service.errors service.files service.pushing service.bulk training.omnipush",
         "training.shapes": "service.errors service.pushing",
-        "training.simulation": "service.errors service.processors service.pushing training.omnipush",
+        "training.simulation": "service.errors service.processors service.pushing training.omnipush training.tables",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
         "training.fitting": "service.errors service.files service.model service.pushing service.storage "
