@@ -45,8 +45,9 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.transport service.bulk service.api.v1 service.connections service.app",
         "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
         "training.tables": "service.errors service.files service.pushing service.bulk training.omnipush",
-        "training.shapes": "service.errors service.pushing",
-        "training.simulation": "service.errors service.processors service.pushing training.omnipush training.tables",
+        "training.simulation": "service.errors service.processors service.pushing training.omnipush",
+        "training.shapes": "service.errors service.pushing service.bulk training.omnipush training.tables "
+        "training.simulation",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
         "training.fitting": "service.errors service.files service.model service.pushing service.storage "
@@ -57,7 +58,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.networks training.fitting",
         "training.recipes": "",
         "training.cli": "service.errors service.processors service.model service.registry service.bulk service.cli "
-        "training.omnipush training.simulation training.networks training.inspection training.fitting "
+        "training.omnipush training.simulation training.shapes training.networks training.inspection training.fitting "
         "training.publishing training.paper",
     }.items()
 }
@@ -94,7 +95,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.cli": "click pydantic pydantic_settings",
         "training.omnipush": "numpy tqdm",
         "training.tables": "numpy pyarrow",
-        "training.shapes": "matplotlib numpy shapely",
+        "training.shapes": "matplotlib numpy shapely tqdm",
         "training.simulation": "mujoco numpy tqdm",
         "training.networks": "torch",
         "training.inspection": "matplotlib numpy tqdm",

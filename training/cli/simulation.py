@@ -34,6 +34,7 @@ def simulate() -> None:
     cazsl-train simulate FOLDER                 ... into another folder
     cazsl-train simulate --plan ring            the data of the committed tables, into data/simulated
     cazsl-train simulate omnipush -h            all options
+    cazsl-train simulate shapes                 objects of random families, into data/shapes
     """
 
 
