@@ -45,7 +45,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.transport service.bulk service.api.v1 service.connections service.app",
         "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
         "training.tables": "service.errors service.files service.pushing service.bulk training.omnipush",
-        "training.simulation": "service.errors service.processors service.pushing training.omnipush",
+        "training.simulation": "service.errors service.processors service.pushing training.omnipush training.tables",
         "training.shapes": "service.errors service.pushing service.bulk training.omnipush training.tables "
         "training.simulation",
         "training.networks": "service.model service.pushing training.omnipush",

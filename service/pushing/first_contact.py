@@ -20,6 +20,7 @@ from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
 
 _CHUNK_PAIRS: Final = 1 << 16  # pairs of a push and an edge at a time: a few MB
+_TOUCH_M: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +60,7 @@ def first_contact(
     for first in range(0, len(pushers), rows):
         part = slice(first, first + rows)
         travel[part] = _travel(outline, start[part], direction[part], radius_m[part])
-    travel = np.where(distance <= radius_m, 0.0, travel)
+    travel = np.where(distance <= radius_m + _TOUCH_M, 0.0, travel)  # rounding must not turn a touch into a miss
     travel[travel > pushers[:, 3]] = np.inf
     touches = np.isfinite(travel)
     point, normal = np.full((len(pushers), 2), np.nan), np.full((len(pushers), 2), np.nan)

@@ -10,7 +10,7 @@ pushes, see ``benchmarks/scene.py`` and docs/results/scene.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -20,9 +20,9 @@ from training.simulation.exact import exp
 from training.simulation.surfaces import LEAST_FRICTION, Array
 
 PRESSURES: Final = ("even", "rim", "mixed", "few")
-EVEN_FEET: Final = 20  # at least so many in the grid under a body
-RIM_FEET: Final = 20
-RIM_INSET: Final = 0.15  # of the way from the outline to the centroid
+EVEN_FEET: Final = 18  # at least so many in the grid under a body
+RIM_FEET: Final = 18
+RIM_INSET: Final = 0.05  # of the way from the outline to the centroid
 FEWEST_FEET, MOST_FEET = 3, 6  # of a body on few feet
 _TRIES: Final = 40
 _BALANCED: Final = 1e-9  # of the size
@@ -32,21 +32,29 @@ _BALANCED: Final = 1e-9  # of the size
 class Physics:
     """Physical constants of simulated pushes: one set for all shapes."""
 
-    contact: float = 0.25
+    contact: float = 0.20
     """Mean coefficient of friction of pusher and object."""
     contact_spread: float = 0.05
     """Its standard deviation from push to push."""
-    pressures: tuple[str, ...] = ("even", "rim", "mixed", "mixed")
-    """How weight is spread under a body, drawn for each body, all as likely."""
-    roughness: float = 0.5
+    roughness: float = 0.47
     """Standard deviation of the logarithm of each foot's friction, drawn for each push: plate and body are not flat,
     and friction changes over the plate."""
-    misplaced_m: float = 0.0005
+    roughness_spread: float = 0.5
+    """Standard deviation of the logarithm of the roughness itself, drawn for each push: some places are worse."""
+    misplaced_m: float = 0.0004
     """Standard deviation of the object's place at the start of a push, along each axis, from the tracked one."""
-    misplaced_rad: float = 0.003
+    misplaced_rad: float = 0.004
     """Likewise of its yaw."""
     tracker_std: tuple[float, float, float] = (1.66e-5, 1.66e-5, 2.33e-4)
     """Of one reading of the tracker: m, m, rad (two readings of an untouched object differ by 0.0235 mm, 0.33 mrad)."""
+    pressures: tuple[str, ...] = ("even", "rim", "mixed", "few", "few")
+    """How weight is spread under a body on a plate that is not known, drawn for each body, all as likely."""
+    plates: tuple[tuple[str, str], ...] = (("abs", "even"), ("plywood", "rim"))
+    """How weight is spread on the plates that were recorded: a soft plate bears evenly, a hard one at the rim."""
+
+    def of(self, contact: float | None) -> "Physics":
+        """Return the constants for an object whose friction with the pusher is known, or None."""
+        return self if contact is None else replace(self, contact=contact)
 
 
 RECORDED: Final = Physics()
@@ -114,7 +122,8 @@ def draw_body(
 
 def draw_conditions(body: Body, physics: Physics, count: int, rng: np.random.Generator) -> Conditions:
     """Draw the conditions of ``count`` pushes."""
-    rough = physics.roughness * rng.normal(size=(len(body.loads), count))
+    roughness = physics.roughness * exp(physics.roughness_spread * rng.normal(size=count))
+    rough = roughness * rng.normal(size=(len(body.loads), count))
     contact = rng.normal(physics.contact, physics.contact_spread, count)
     misplaced = rng.normal(size=(count, 3)) * (physics.misplaced_m, physics.misplaced_m, physics.misplaced_rad)
     return Conditions(body.loads[:, None] * exp(rough), np.maximum(contact, LEAST_FRICTION), misplaced)

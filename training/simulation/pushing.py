@@ -29,8 +29,11 @@ from training.simulation.surfaces import Array
 
 Rows = npt.NDArray[np.int64]
 
-STEP_M: Final = 0.0005  # travel of the rod in one step, see docs/results/scene
-ITERATIONS: Final = 3  # of each step
+# Travel of the rod in one step: costs 0.1 mm and 0.1 degrees on average, see docs/results/scene
+STEP_M: Final = 0.001
+STEPS_A_SIZE: Final = 30  # at least, for a travel as long as the object's size (root mean square radius)
+STEPS_A_RADIUS: Final = 3  # likewise, for the rod's radius
+ITERATIONS: Final = 2  # of each step
 _REST: Final = 0.02  # share of a step: a foot that moves less is held by less than its whole friction
 _CORNER: Final = 0.9  # cosine between the normals of two contacts that count as two
 _SWEEPS: Final = 6  # over two contacts in turns
@@ -38,7 +41,7 @@ _LEAST_M: Final = 1e-9
 
 
 def simulate_pushes(
-    body: Body, pushers: Array, pusher_radius_m: float, physics: Physics, rng: np.random.Generator
+    body: Body, pushers: Array, pusher_radius_m: npt.ArrayLike, physics: Physics, rng: np.random.Generator
 ) -> Array:
     """Simulate pushes of one body with conditions drawn for each, as a tracker records them, (n, 3).
 
@@ -46,15 +49,16 @@ def simulate_pushes(
     """
     conditions = draw_conditions(body, physics, len(pushers), rng)
     outcomes = push_body(body, pushers, pusher_radius_m, conditions)
-    return outcomes + rng.normal(size=outcomes.shape) * physics.tracker_std
+    readings = rng.normal(size=(2, *outcomes.shape)) * physics.tracker_std  # before and after the push
+    return np.asarray(outcomes + readings[1] - readings[0])
 
 
 def push_body(
     body: Body,
     pushers: Array,
-    pusher_radius_m: float,
+    pusher_radius_m: npt.ArrayLike,
     conditions: Conditions,
-    step_m: float = STEP_M,
+    step_m: float | None = None,
     iterations: int = ITERATIONS,
 ) -> Array:
     """Simulate pushes of one body.
@@ -63,20 +67,22 @@ def push_body(
         body: the object, in the frame of its outline.
         pushers: (n, 4): x_m, y_m, angle_rad, length_m of each push. A rod that starts inside of the outline is moved
             out along the nearest normal.
-        pusher_radius_m: radius of the rod.
+        pusher_radius_m: radius of the rod, one for all or (n,).
         conditions: of every push.
-        step_m: travel of the rod in one step.
+        step_m: travel of the rod in one step, by default ``STEP_M``, or less for a small object or rod.
         iterations: of each step.
 
     Returns:
         The pose after each push, (n, 3): x_m, y_m, yaw_rad, in the frame of the outline before it.
     """
+    radius_m = np.broadcast_to(np.asarray(pusher_radius_m, dtype=np.float64), len(pushers))
+    longest = np.minimum(min(STEP_M, body.outline.size_m / STEPS_A_SIZE), radius_m / STEPS_A_RADIUS)
     # pushes in the order of their steps, so that those that are still on come first
     seen = _placed(pushers, conditions.misplaced)
-    place, heading, left = _approach(body.outline, seen, pusher_radius_m)
-    steps = np.ceil(left / step_m).astype(np.int64)
+    place, heading, left = _approach(body.outline, seen, radius_m)
+    steps = np.ceil(left / (longest if step_m is None else step_m)).astype(np.int64)
     order = np.argsort(-steps, kind="stable")
-    state = _State(body, place[:, order], heading[:, order], conditions, order, pusher_radius_m)
+    state = _State(body, place[:, order], heading[:, order], conditions, order, radius_m[order])
     travel = left[order] / np.maximum(steps[order], 1)
     for done in range(int(steps.max(initial=0))):
         state.advance(int((steps > done).sum()), travel, iterations)
@@ -89,7 +95,7 @@ class _State:
     """Poses, motions and rods of all pushes of a body; its own origin is the centre of mass."""
 
     def __init__(
-        self, body: Body, place: Array, heading: Array, conditions: Conditions, order: Rows, radius_m: float
+        self, body: Body, place: Array, heading: Array, conditions: Conditions, order: Rows, radius_m: Array
     ) -> None:
         origin = body.centre_of_mass_m
         self._feet_x, self._feet_y = (body.feet_m - origin).T[:, :, None]
@@ -109,7 +115,7 @@ class _State:
         """Move the first ``count`` rods by one step, and the objects that they push."""
         rod, heading, travel = self._rod[:, :count], self._heading[:, :count], travel[:count]
         step = heading * travel
-        first, second = self._edges.contacts(rod, self._radius_m)
+        first, second = self._edges.contacts(rod, self._radius_m[:count])
         motion = np.zeros((3, count))
         pushed = np.flatnonzero(_closing(first, step) > 0.0)
         if len(pushed):
@@ -201,7 +207,7 @@ class _Edges:
         following = np.roll(edge, -1, axis=0)
         self._convex = bool((edge[:, 0] * following[:, 1] - edge[:, 1] * following[:, 0] >= 0.0).all())
 
-    def contacts(self, rods: Array, radius_m: float) -> tuple[Array, Array | None]:
+    def contacts(self, rods: Array, radius_m: Array) -> tuple[Array, Array | None]:
         """Return the nearest contact of rods (2, m), and the second nearest in another direction if there may be one.
 
         A contact is (5, m): place x, y, inward normal x, y, and the gap, negative if the rod overlaps.
@@ -224,14 +230,14 @@ class _Edges:
 
     @staticmethod
     def _contact(
-        edge: Rows, pushes: Rows, rods: Array, away_x: Array, away_y: Array, square: Array, radius_m: float
+        edge: Rows, pushes: Rows, rods: Array, away_x: Array, away_y: Array, square: Array, radius_m: Array
     ) -> Array:
         x, y, distance = away_x[edge, pushes], away_y[edge, pushes], np.sqrt(square[edge, pushes])
         safe = np.maximum(distance, _LEAST_M)
         return np.stack([rods[0] - x, rods[1] - y, -x / safe, -y / safe, distance - radius_m])
 
 
-def _approach(outline: Outline, pushers: Array, radius_m: float) -> tuple[Array, Array, Array]:
+def _approach(outline: Outline, pushers: Array, radius_m: Array) -> tuple[Array, Array, Array]:
     """Return places (2, n) and headings (2, n) of rods at their first contact, and the travel (n,) that is left.
 
     A rod that overlaps the outline at the start is moved out of it.

@@ -106,3 +106,13 @@ def test_many_pushes_in_chunks_are_the_same_as_one_by_one() -> None:
     near = np.abs(offset) < 0.05
     assert found.travel_m[near] == pytest.approx(circle[near], abs=1e-5)
     assert np.isinf(found.travel_m[np.abs(offset) > 0.0551]).all()
+
+
+def test_a_tip_that_touches_by_all_but_rounding_does_not_miss() -> None:
+    """A tip put exactly onto a slanting edge touches there, on whichever side of it rounding puts the tip."""
+    slanting = Outline.of([(0.045, 0.045), (-0.0809, 0.045), (0.045, -0.08087)])
+    near = slanting.nearest(np.linspace((-0.06, 0.0), (0.0, -0.06), 100))
+    tips = near.point_m - 0.00475 * near.normal
+    pushers = np.column_stack([tips, np.full(100, 0.8), np.full(100, 0.05)])
+
+    assert (first_contact(slanting, pushers, 0.00475).travel_m == 0.0).all()
