@@ -30,6 +30,7 @@ from training.tables.push_table import DEFAULT_PUSHER_RADIUS_M, PushTable
 NOTHING: Final = "nothing moves"
 MECHANICS: Final = "mechanics"
 BATCH: Final = 10_000  # pushes that the service answers at once
+TILE_PIXELS: Final = 37  # side of the tiles of a view, of which only those on the boundary are drawn pixel by pixel
 KNOWN_WITHIN_M: Final = 0.001  # of length and tip: Omnipush's models are asked for no other push
 ASKED_AS: Final = {"none": "the push alone", "visual": "a view drawn from the outline"}
 
@@ -168,9 +169,15 @@ def view(outline: Outline) -> npt.NDArray[np.uint8]:
     """Draw an outline about its centroid, uint8 [481, 481], by ``service.pushing.images.IMAGE_CONVENTION``."""
     pixel_m = FIELD_OF_VIEW_M / VIEW_PIXELS
     offset = (np.arange(VIEW_PIXELS) - VIEW_PIXELS // 2) * pixel_m
-    middle = np.stack(np.meshgrid(offset, -offset), axis=-1).reshape(-1, 2) + outline.centroid_m
-    covered = np.clip(0.5 - outline.distance_m(middle) / pixel_m, 0.0, 1.0).reshape(VIEW_PIXELS, VIEW_PIXELS)
-    return np.floor(covered * BODY_LEVEL * 255.0 + 0.5).astype(np.uint8)
+    tiles = VIEW_PIXELS // TILE_PIXELS
+    middles = np.stack(np.meshgrid(offset, -offset), axis=-1) + outline.centroid_m
+    middles = middles.reshape(tiles, TILE_PIXELS, tiles, TILE_PIXELS, 2).swapaxes(1, 2).reshape(tiles**2, -1, 2)
+    distance = np.repeat(outline.distance_m(middles[:, middles.shape[1] // 2])[:, None], middles.shape[1], axis=1)
+    near = np.abs(distance[:, 0]) < TILE_PIXELS * pixel_m  # the boundary may cross these tiles
+    distance[near] = outline.distance_m(middles[near].reshape(-1, 2)).reshape(-1, middles.shape[1])
+    covered = np.clip(0.5 - distance / pixel_m, 0.0, 1.0).reshape(tiles, tiles, TILE_PIXELS, TILE_PIXELS)
+    levels = np.floor(covered.swapaxes(1, 2).reshape(VIEW_PIXELS, VIEW_PIXELS) * BODY_LEVEL * 255.0 + 0.5)
+    return levels.astype(np.uint8)
 
 
 def _fits(outline: Outline) -> bool:

@@ -16,8 +16,12 @@ object and surface is written, with a plot and the figures. The rows of the tabl
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
 
 from benchmarks.push_measures import repeats, score
 from benchmarks.push_predictions import Predicted, choose, predicted_by_models, predicted_without_model
@@ -27,23 +31,40 @@ from service.errors import CazslError, DataError
 from training.tables.push_table import PushTable
 from training.tables.reading import read_table
 
+MOST_GROUPS: Final = 40  # pairs of an object and a surface that are scored by themselves
 
-def measured(table: PushTable, predicted: Predicted) -> ModelScores | None:
-    """Return the scores of a model over all pushes that it answers, and per object and surface."""
-    groups = {OVERALL: predicted.rows}
-    for item, found in enumerate(table.objects):
-        for surface, name in enumerate(table.surfaces):
-            group = (table.object_index == item) & (table.surface_index == surface) & predicted.rows
-            groups[f"{found.name}, {name}"] = group
-    scores = {
-        name: score(
-            table.outcomes[rows],
-            predicted.mean[rows],
-            None if predicted.covariance is None else predicted.covariance[rows],
+
+def groups_of(table: PushTable, notes: list[str]) -> dict[str, npt.NDArray[np.bool_]]:
+    """Return the rows (n,) of all pushes, and of the objects on surfaces with the most pushes, by name.
+
+    A sentence about those that are not listed is added to the notes.
+    """
+    found, group, counts = np.unique(
+        np.stack([table.object_index, table.surface_index], axis=1), axis=0, return_inverse=True, return_counts=True
+    )
+    if len(found) > MOST_GROUPS:
+        notes.append(
+            f"Of {len(found):,} pairs of object and surface, the {MOST_GROUPS} with the most pushes are listed."
         )
-        for name, rows in groups.items()
-        if rows.any()
+    largest = np.sort(np.argsort(-counts, kind="stable")[:MOST_GROUPS])
+    names = {
+        place: f"{table.objects[item].name}, {table.surfaces[surface]}"
+        for place, (item, surface) in enumerate(found.tolist())
     }
+    return {
+        OVERALL: np.ones(table.count, dtype=np.bool_),
+        **{names[place]: group.ravel() == place for place in largest.tolist()},
+    }
+
+
+def measured(table: PushTable, predicted: Predicted, groups: Mapping[str, npt.NDArray[np.bool_]]) -> ModelScores | None:
+    """Return the scores of a model over the pushes of each group that it answers, or None without any."""
+    scores = {}
+    for name, group in groups.items():
+        rows = group & predicted.rows
+        if rows.any():
+            covariance = None if predicted.covariance is None else predicted.covariance[rows]
+            scores[name] = score(table.outcomes[rows], predicted.mean[rows], covariance)
     return ModelScores(predicted.name, predicted.knows, scores) if scores else None
 
 
@@ -54,7 +75,7 @@ def find(table: PushTable, options: argparse.Namespace) -> Findings:
         CazslError: the models cannot be read, or none of the chosen ones can be scored.
     """
     notes: list[str] = []
-    models = []
+    models: list[ModelScores] = []
 
     def wanted(name: str) -> bool:
         """True if a model is among the chosen ones, by its name with or without a version."""
@@ -63,8 +84,9 @@ def find(table: PushTable, options: argparse.Namespace) -> Findings:
     found = [one for one in predicted_without_model(table) if wanted(one.name)]
     if not options.models or {name.partition("@")[0] for name in options.models} - {one.name for one in found}:
         found += predicted_by_models(table, options.models_folder, wanted, notes)
+    groups = groups_of(table, notes)
     for one in found:
-        scores = measured(table, one)
+        scores = measured(table, one, groups)
         notes += one.notes
         if scores is not None:
             models.append(scores)

@@ -19,7 +19,6 @@ from training.tables.push_table import PushTable
 PAGE_FILE: Final = "README.md"
 FIGURES_FILE: Final = "figures.json"
 PLOT_FILE: Final = "errors.png"
-MOST_GROUPS: Final = 40  # rows of a model's table, and bars of the plot: those with the most pushes
 FEW_PUSHES: Final = 200
 OVERALL: Final = "all"
 PAGE: Final = """# Recorded pushes
@@ -144,21 +143,13 @@ def _paragraph(text: str) -> str:
 
 def _group_table(model: ModelScores) -> str:
     """Return the table of one model per object and surface, in Markdown."""
-    named = _shown_groups(model)
-    more = f" The {len(named)} groups with the most pushes are shown." if len(named) < len(model.scores) - 1 else ""
     rows = [
         f"| {name} | {found.pushes:,} | {_mean(found.position_mm)} | {_mean(found.yaw_deg)} | {_rest(found)} |"
-        for name, found in named.items()
+        for name, found in model.scores.items()
+        if name != OVERALL
     ]
     head = "| object, surface | pushes | position (mm) | yaw (deg) | RMSE | NLL | intervals (%) | regions (%) |"
-    return "\n".join([f"**{model.name}** (knows: {model.knows}).{more}", "", head, "|" + "---|" * 8, *rows])
-
-
-def _shown_groups(model: ModelScores) -> dict[str, Score]:
-    """Return the groups with the most pushes, in order of their names in the table."""
-    groups = {name: found for name, found in model.scores.items() if name != OVERALL}
-    largest = sorted(groups, key=lambda name: -groups[name].pushes)[:MOST_GROUPS]
-    return {name: found for name, found in groups.items() if name in largest}
+    return "\n".join([f"**{model.name}** (knows: {model.knows})", "", head, "|" + "---|" * 8, *rows])
 
 
 def _rest(found: Score) -> str:
@@ -214,7 +205,7 @@ def _draw(path: Path, models: Sequence[ModelScores]) -> None:
     """Draw the mean errors of every model per object and surface, and the coverage of those with spreads."""
     figure = Figure(figsize=(12, 10), layout="constrained")
     position, yaw, coverage = figure.subplots(3)
-    names = [OVERALL, *_shown_groups(max(models, key=lambda model: len(model.scores)))]
+    names = list(max(models, key=lambda model: len(model.scores)).scores)
     _bars(position, models, names, lambda found: found.position_mm.mean)
     position.set(ylabel="mean position error (mm)")
     figure.legend(*position.get_legend_handles_labels(), fontsize="small", ncols=8, loc="outside upper center")
