@@ -1,4 +1,4 @@
-"""Predictions of a table of pushes: nothing moves, mechanics, published models through the client, and peers.
+"""Predictions of a table of pushes: nothing moves, mechanics, the simulation, published models, and peers.
 
 Omnipush's models put the origin at the object's centre, so a table's frame is shifted to the centroid for them, and
 their answers are shifted back, spreads included. They know pushes of 50 mm by a tip of 4.75 mm. Other pushes are left
@@ -6,6 +6,7 @@ out for them, and a note says so.
 """
 
 import io
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,13 +23,17 @@ from service.errors import DataError
 from service.pushing import mechanics
 from service.pushing.images import BODY_LEVEL, FIELD_OF_VIEW_M
 from service.pushing.outlines import Outline
-from service.pushing.poses import PUSH_LENGTH_M, REACH_M, DoubleArray
+from service.pushing.poses import PUSH_LENGTH_M, REACH_M, DoubleArray, wrap_angles
 from service.schemas.contexts import ContextBody
 from training.omnipush.views import VIEW_PIXELS
+from training.simulation.bodies import RECORDED
+from training.simulation.replay import replay
 from training.tables.push_table import DEFAULT_PUSHER_RADIUS_M, PushTable
 
 NOTHING: Final = "nothing moves"
 MECHANICS: Final = "mechanics"
+SIMULATION: Final = "simulation"
+LEAST_STD: Final = (1e-4, 1e-4, math.radians(0.1))  # m, m, rad: of a push that all draws miss
 BATCH: Final = 10_000  # pushes that the service answers at once
 TILE_PIXELS: Final = 37  # side of the tiles of a view, of which only those on the boundary are drawn pixel by pixel
 KNOWN_WITHIN_M: Final = 0.001  # of length and tip: Omnipush's models are asked for no other push
@@ -56,16 +61,33 @@ class Predicted:
     notes: tuple[str, ...] = ()
 
 
-def predicted_without_model(table: PushTable) -> Iterator[Predicted]:
-    """Yield the predictions that need no model: nothing moves, mechanics, and the peers of the table."""
+def predicted_without_model(table: PushTable, wanted: Callable[[str], bool], draws: int) -> Iterator[Predicted]:
+    """Yield the chosen predictions that need no model: nothing moves, mechanics, the simulation, and peers.
+
+    Args:
+        table: the pushes.
+        wanted: the choice, by name.
+        draws: simulations of every push.
+    """
     everywhere = np.ones(table.count, dtype=np.bool_)
-    yield Predicted(NOTHING, "-", np.zeros((table.count, 3)), None, everywhere)
     knows = "outline"
     if any(item.centre_of_mass_m or item.friction is not None for item in table.objects):
         knows = "outline; centre of mass and friction where the table has them"
-    yield Predicted(MECHANICS, knows, quasi_static(table), None, everywhere)
-    for name, mean in table.peers.items():
-        yield Predicted(name, "a peer's column of the table", mean, None, everywhere)
+    if wanted(NOTHING):
+        yield Predicted(NOTHING, "-", np.zeros((table.count, 3)), None, everywhere)
+    if wanted(MECHANICS):
+        yield Predicted(MECHANICS, knows, quasi_static(table), None, everywhere)
+    if wanted(SIMULATION):
+        notes = (
+            f"{SIMULATION}: mean and scatter of {draws} draws of friction, pressure and tracker for every push. Its "
+            "constants, one set for all, were chosen by recorded pushes of seven steel shapes. On those it is no "
+            "blind test.",
+        )
+        plates = {name for name, _ in RECORDED.plates} & set(table.surfaces)
+        surface = "; surface" if plates else ""
+        yield Predicted(SIMULATION, f"{knows}{surface}", *simulated(table, draws), everywhere, notes)
+    for name in filter(wanted, table.peers):
+        yield Predicted(name, "a peer's column of the table", table.peers[name], None, everywhere)
 
 
 def quasi_static(table: PushTable) -> DoubleArray:
@@ -80,6 +102,22 @@ def quasi_static(table: PushTable) -> DoubleArray:
             )
             bar.update(int(rows.sum()))
     return found
+
+
+def simulated(table: PushTable, draws: int) -> tuple[DoubleArray, DoubleArray]:
+    """Return means (n, 3) and covariances (n, 3, 3) of the outcomes of repeated simulations.
+
+    The spread is that of a further draw, given so few of them, and not below the tracker's noise.
+    """
+    found = np.empty((draws, table.count, 3))
+    with tqdm(total=table.count, desc=SIMULATION, unit="push", disable=None) as bar:
+        for number in range(len(table.objects)):
+            rows = np.flatnonzero(table.object_index == number)
+            found[:, rows] = replay(table.select(rows), 0, draws)
+            bar.update(len(rows))
+    found[..., 2] = found[0, :, 2] + wrap_angles(found[..., 2] - found[0, :, 2])
+    std = np.maximum(found.std(axis=0, ddof=1) * math.sqrt(1.0 + 1.0 / draws), LEAST_STD)
+    return found.mean(axis=0), np.einsum("ni,ij->nij", std**2, np.eye(3))
 
 
 def predicted_by_models(

@@ -6,6 +6,7 @@ FOLDER holds pushes.csv and objects.csv, or both as Parquet (docs/data.md descri
 
     nothing moves    the object stays where it is
     mechanics        quasi-static mechanics of the outline, nothing fitted (service/pushing/mechanics.py)
+    simulation       ours, of the same pushes: mean and scatter of several draws (training/simulation/replay.py)
     NAME@VERSION     every published version of ours that can take the objects, through the client in this process
     a peer           predictions that the table holds beside its outcomes: NAME_x_m, NAME_y_m, NAME_yaw_rad
 
@@ -31,6 +32,7 @@ from service.errors import CazslError, DataError
 from training.tables.push_table import PushTable
 from training.tables.reading import read_table
 
+DRAWS: Final = 8  # of the simulation
 MOST_GROUPS: Final = 40  # pairs of an object and a surface that are scored by themselves
 
 
@@ -76,14 +78,19 @@ def find(table: PushTable, options: argparse.Namespace) -> Findings:
     """
     notes: list[str] = []
     models: list[ModelScores] = []
+    named = set()
 
     def wanted(name: str) -> bool:
-        """True if a model is among the chosen ones, by its name with or without a version."""
-        return not options.models or name in options.models or name.partition("@")[0] in options.models
+        """Return true for a chosen model, by its name with or without a version."""
+        hits = {name, name.partition("@")[0]} & set(options.models)
+        named.update(hits)
+        return bool(hits) or not options.models
 
-    found = [one for one in predicted_without_model(table) if wanted(one.name)]
-    if not options.models or {name.partition("@")[0] for name in options.models} - {one.name for one in found}:
+    found = list(predicted_without_model(table, wanted, options.draws))
+    if not options.models or set(options.models) - named:
         found += predicted_by_models(table, options.models_folder, wanted, notes)
+    if unknown := set(options.models) - named:
+        raise DataError(f"--models: there is no {', '.join(sorted(unknown))}; leave the option out to see all")
     groups = groups_of(table, notes)
     for one in found:
         scores = measured(table, one, groups)
@@ -91,7 +98,7 @@ def find(table: PushTable, options: argparse.Namespace) -> Findings:
         if scores is not None:
             models.append(scores)
     if not models:
-        raise DataError(f"--models: none of {', '.join(options.models)} can be scored here; leave it out for all")
+        raise DataError(f"no model can be scored on this table: {' '.join(notes)}")
     source = options.source or table.source
     return Findings(table, source, command(options), models, notes, repeats(table))
 
@@ -101,6 +108,8 @@ def command(options: argparse.Namespace) -> str:
     parts = ["python -m benchmarks.real_pushes FOLDER"]
     for name, values in (("models", options.models), ("shapes", options.shapes)):
         parts += [f"--{name} {' '.join(values)}"] if values else []
+    if options.draws != DRAWS:
+        parts.append(f"--draws {options.draws}")
     if options.limit is not None:
         parts.append(f"--limit {options.limit}")
     return " ".join(parts)
@@ -117,6 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--objects", type=Path, help="the file of outlines; by default beside the pushes")
     parser.add_argument("--out", type=Path, help="write page, plot and figures into this folder")
     parser.add_argument("--models", nargs="+", default=[], metavar="NAME", help="score these only, such as mechanics")
+    parser.add_argument("--draws", type=int, default=DRAWS, metavar="N", help=f"simulations of every push ({DRAWS})")
     parser.add_argument("--models-folder", type=Path, default=Path("models"), help="registry of published models")
     parser.add_argument("--shapes", nargs="+", default=[], metavar="NAME", help="objects to score on; all by default")
     parser.add_argument("--limit", type=int, metavar="N", help="score on N pushes, drawn with a fixed seed")
@@ -124,6 +134,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     if options.limit is not None and options.limit < 1:
         parser.error("--limit: a positive number of pushes")
+    if options.draws < 2:
+        parser.error("--draws: two or more, for a spread")
     try:
         table = choose(read_table(options.folder, options.objects), options.shapes, options.limit)
         findings = find(table, options)

@@ -74,9 +74,10 @@ def test_the_page_has_every_model_per_object_and_surface(tmp_path: Path, capsys:
     assert "push-indicator is not asked" in text
     figures = json.loads((out / "figures.json").read_text())
     scores = {model["name"]: model["scores"] for model in figures["models"]}
-    assert {"nothing moves", "mechanics", "rival", "push-none@1", "push-visual@1"} <= set(scores)
+    assert {"nothing moves", "mechanics", "simulation", "rival", "push-none@1", "push-visual@1"} <= set(scores)
     assert scores["mechanics"]["all"]["position_mm"]["mean"] < 1e-6
     assert scores["nothing moves"]["all"]["position_mm"]["mean"] > 10.0
+    assert 0.5 < scores["simulation"]["all"]["position_mm"]["mean"] < 5.0
     assert scores["push-visual@1"]["all"]["calibration"]["intervals"][1] > 0.0
     groups = {f"object {number}, {surface}" for number in (0, 1) for surface in ("table", "desk")}
     assert set(scores["mechanics"]) == {"all", *groups}
@@ -126,10 +127,11 @@ def test_a_quick_look_takes_some_objects_and_pushes(tmp_path: Path, capsys: pyte
     [
         (["missing"], "missing"),
         (["table", "--shapes", "cup"], "no object 'cup'; it has object 0"),
-        (["table", "--models", "push-cup"], "--models: none of push-cup"),
+        (["table", "--models", "mechanics", "push-cup"], "--models: there is no push-cup"),
+        (["table", "--models", "push-indicator"], "push-indicator is not asked"),
         (["table", "--models-folder", "missing"], "missing"),
     ],
-    ids=["no table", "no object", "no model", "no registry"],
+    ids=["no table", "no object", "no model", "no model that fits", "no registry"],
 )
 def test_a_mistake_ends_in_one_line(options: list[str], words: str, tmp_path: Path) -> None:
     """A mistake ends the command with one line that says how to go on."""
