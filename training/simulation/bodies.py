@@ -2,7 +2,7 @@
 
 A body rests on feet, points of its underside with a share of the weight each (``loads``). Sliding is quasi-static, so
 that the mass itself does not matter, only how it is shared. ``pressure`` names the spread: ``even`` over the underside,
-``rim`` near the outline, ``mixed`` a drawn share of both, ``few`` three to six points, as of a block on a rough plate.
+``rim`` along the outline, ``mixed`` a drawn share of both, ``few`` three to six points, as of a block on a rough plate.
 Loads always balance at the centre of mass.
 
 ``Physics`` holds the constants that differ from body to body and from push to push. ``RECORDED`` is chosen by recorded
@@ -20,9 +20,8 @@ from training.simulation.exact import exp
 from training.simulation.surfaces import LEAST_FRICTION, Array
 
 PRESSURES: Final = ("even", "rim", "mixed", "few")
-EVEN_FEET: Final = 18  # at least so many in the grid under a body
-RIM_FEET: Final = 18
-RIM_INSET: Final = 0.05  # of the way from the outline to the centroid
+EVEN_FEET: Final = 19  # at least so many in the grid under a body
+RIM_FEET: Final = 20
 FEWEST_FEET, MOST_FEET = 3, 6  # of a body on few feet
 _TRIES: Final = 40
 _BALANCED: Final = 1e-9  # of the size
@@ -47,7 +46,7 @@ class Physics:
     """Likewise of its yaw."""
     tracker_std: tuple[float, float, float] = (1.66e-5, 1.66e-5, 2.33e-4)
     """Of one reading of the tracker: m, m, rad (two readings of an untouched object differ by 0.0235 mm, 0.33 mrad)."""
-    pressures: tuple[str, ...] = ("even", "rim", "mixed", "few", "few")
+    pressures: tuple[str, ...] = ("mixed", "few", "few", "few")
     """How weight is spread under a body on a plate that is not known, drawn for each body, all as likely."""
     plates: tuple[tuple[str, str], ...] = (("abs", "even"), ("plywood", "rim"))
     """How weight is spread on the plates that were recorded: a soft plate bears evenly, a hard one at the rim."""
@@ -145,14 +144,13 @@ def even_feet(outline: Outline) -> Array:
 
 
 def rim_feet(outline: Outline) -> Array:
-    """Return points along an outline, (k, 2), a little towards the centroid where that stays inside."""
+    """Return ``RIM_FEET`` points along an outline, (k, 2), at even distances."""
     lengths = np.sqrt((outline.edges**2).sum(axis=1))
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
     along = (np.arange(RIM_FEET) + 0.5) / RIM_FEET * ends[-1]
     edge = np.searchsorted(ends, along, side="right") - 1
-    on_rim = outline.corners[edge] + outline.edges[edge] * ((along - ends[edge]) / lengths[edge])[:, None]
-    inset = on_rim + RIM_INSET * (outline.centroid_m - on_rim)
-    return np.asarray(np.where(outline.contains(inset)[:, None], inset, on_rim))
+    found: Array = outline.corners[edge] + outline.edges[edge] * ((along - ends[edge]) / lengths[edge])[:, None]
+    return found
 
 
 def balanced(feet_m: Array, spread: Array, centre_m: Array, size_m: float) -> Array | None:
