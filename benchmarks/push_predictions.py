@@ -21,6 +21,7 @@ from service.client import Client
 from service.client.calls import Context
 from service.errors import DataError
 from service.pushing import mechanics
+from service.pushing.first_contact import first_contact
 from service.pushing.images import BODY_LEVEL, FIELD_OF_VIEW_M
 from service.pushing.outlines import Outline
 from service.pushing.poses import PUSH_LENGTH_M, REACH_M, DoubleArray, wrap_angles
@@ -33,6 +34,8 @@ from training.tables.push_table import DEFAULT_PUSHER_RADIUS_M, PushTable
 NOTHING: Final = "nothing moves"
 MECHANICS: Final = "mechanics"
 SIMULATION: Final = "simulation"
+MOVED_M: Final = 0.002
+DOUBTFUL: Final = 0.05  # share of pushes that move an object without meeting it
 LEAST_STD: Final = (1e-4, 1e-4, math.radians(0.1))  # m, m, rad: of a push that all draws miss
 BATCH: Final = 10_000  # pushes that the service answers at once
 TILE_PIXELS: Final = 37  # side of the tiles of a view, of which only those on the boundary are drawn pixel by pixel
@@ -177,7 +180,7 @@ def _answer(table: PushTable, client: Client, name: str, kind: str, contexts: Se
         )
     if contexts and (clipped := [item.name for item in table.objects if not _fits(item.outline)]):
         names = ", ".join(clipped[:8]) + (" ..." if len(clipped) > 8 else "")
-        notes.append(f"{name}: its view of 160 mm does not hold all of {len(clipped)} objects ({names}).")
+        notes.append(f"{name}: its view of 160 mm does not hold the whole of {names}.")
     return Predicted(name, ASKED_AS[kind], mean, whole, known, tuple(notes))
 
 
@@ -227,6 +230,22 @@ def _parts(rows: npt.NDArray[np.int64], name: str) -> Iterable[npt.NDArray[np.in
         for first in range(0, len(rows), BATCH):
             yield rows[first : first + BATCH]
             bar.update(len(rows[first : first + BATCH]))
+
+
+def doubts(table: PushTable) -> list[str]:
+    """Return a sentence if outlines and pushes do not seem to fit: objects that moved, although no tip met them."""
+    missed = np.zeros(table.count, dtype=np.bool_)
+    for number, item in enumerate(table.objects):
+        rows = np.flatnonzero(table.object_index == number)
+        travel_m = first_contact(item.outline, table.pushers[rows], table.pusher_radius_m[rows]).travel_m
+        missed[rows] = np.isinf(travel_m)
+    moved = missed & (np.hypot(table.outcomes[:, 0], table.outcomes[:, 1]) > MOVED_M)
+    if moved.mean() <= DOUBTFUL:
+        return []
+    return [
+        f"{int(moved.sum()):,} of {table.count:,} pushes never meet the outline, and the object moved all the same: do "
+        "units, frame, outline and tip fit? `cazsl-train data check FOLDER` tells."
+    ]
 
 
 def choose(table: PushTable, shapes: Sequence[str], limit: int | None) -> PushTable:

@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from benchmarks.push_measures import repeats, score
-from benchmarks.push_predictions import Predicted, choose, predicted_by_models, predicted_without_model
+from benchmarks.push_predictions import Predicted, choose, doubts, predicted_by_models, predicted_without_model
 from benchmarks.real_pushes_page import OVERALL, Findings, ModelScores, overall_table, repeats_text, worth, write_page
 from service.client import ClientError
 from service.errors import CazslError, DataError
@@ -76,7 +76,7 @@ def find(table: PushTable, options: argparse.Namespace) -> Findings:
     Raises:
         CazslError: the models cannot be read, or none of the chosen ones can be scored.
     """
-    notes: list[str] = []
+    notes = doubts(table)
     models: list[ModelScores] = []
     named = set()
 

@@ -14,14 +14,15 @@ from matplotlib.figure import Figure
 import service
 from benchmarks.push_measures import LEVELS, Mean, Repeats, Score
 from service.storage.disk import replace_whole
-from training.tables.push_table import PushTable
+from training.tables.push_table import UNSTATED, PushTable
 
 PAGE_FILE: Final = "README.md"
 FIGURES_FILE: Final = "figures.json"
 PLOT_FILE: Final = "errors.png"
 FEW_PUSHES: Final = 200
+FEWEST_PAIRS: Final = 20  # from which on a floor under any model's error is told
 OVERALL: Final = "all"
-PAGE: Final = """# Recorded pushes
+PAGE: Final = """# Models beside a table of pushes
 
 `{command}` scores models on {pushes:,} pushes of {objects}
 on {surfaces} (digest {digest}..., cazsl {version}).
@@ -99,11 +100,13 @@ def repeats_text(found: tuple[Repeats | None, Repeats | None]) -> str:
     on_one, on_two = found
     texts = []
     if on_one is not None:
-        floor_mm, floor_deg = (value.mean / math.sqrt(2.0) for value in (on_one.position_mm, on_one.yaw_deg))
-        texts.append(
-            f"{_pairs(on_one)} on one surface end {_apart(on_one)} apart. If both scatter alike, a model that knew the "
-            f"mean of every push would still err by about 1 / sqrt 2 of it: {floor_mm:.1f} mm, {floor_deg:.1f} degrees."
-        )
+        texts.append(f"{_pairs(on_one)} on one surface end {_apart(on_one)} apart.")
+        if on_one.pairs >= FEWEST_PAIRS:
+            floor_mm, floor_deg = (value.mean / math.sqrt(2.0) for value in (on_one.position_mm, on_one.yaw_deg))
+            texts.append(
+                "If both scatter alike, a model that knew the mean of every push would still err by about 1 / sqrt 2 "
+                f"of it: {floor_mm:.1f} mm, {floor_deg:.1f} degrees."
+            )
     if on_two is not None:
         texts.append(f"{_pairs(on_two)} on two surfaces end {_apart(on_two)} apart.")
     return " ".join(texts)
@@ -124,7 +127,7 @@ def _page(findings: Findings) -> str:
         command=findings.command,
         pushes=table.count,
         objects=f"{len(table.objects)} object{'s' if len(table.objects) > 1 else ''}",
-        surfaces=_listed(table.surfaces),
+        surfaces="an unstated surface" if table.surfaces == (UNSTATED,) else _listed(table.surfaces),
         digest=table.digest[:8],
         version=service.__version__,
         source=_paragraph(f"Origin: {findings.source.rstrip('.')}."),

@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from benchmarks.push_measures import LEVELS, REGION_LIMITS, mean_of, repeats, score
-from benchmarks.push_predictions import Predicted, predicted_by_models, quasi_static, view
+from benchmarks.push_predictions import Predicted, doubts, predicted_by_models, quasi_static, view
 from benchmarks.real_pushes import main
 from service.pushing.contexts import ObjectContext
 from service.pushing.outlines import Outline
@@ -120,6 +120,17 @@ def test_a_quick_look_takes_some_objects_and_pushes(tmp_path: Path, capsys: pyte
     write_table(tmp_path, table(60))
     text = run(tmp_path, "--models", "mechanics", "--shapes", "object 1", "--limit", "7", capsys=capsys)
     assert "| mechanics | outline | 7 |" in text
+
+
+def test_an_outline_that_does_not_fit_the_pushes_is_doubted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Objects that moved although no tip met their outline are counted, with the command that tells more."""
+    found = table(40, (BOX,))
+    assert doubts(found) == []
+    found.pushers[:10, :2] += 1.0
+    write_table(tmp_path, found)
+    text = run(tmp_path, "--models", "mechanics", capsys=capsys)
+    assert "10 of 40 pushes never meet the outline" in text
+    assert "cazsl-train data check" in text
 
 
 @pytest.mark.parametrize(
