@@ -50,6 +50,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.simulation",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
+        "training.inspection.tables": "service.errors service.pushing service.storage training.inspection "
+        "training.omnipush training.tables",
         "training.fitting": "service.errors service.files service.model service.pushing service.storage "
         "training.omnipush training.networks",
         "training.publishing": "service.errors service.model service.pushing service.registry training.omnipush "
@@ -58,8 +60,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.networks training.fitting",
         "training.recipes": "",
         "training.cli": "service.errors service.processors service.model service.registry service.bulk service.cli "
-        "training.omnipush training.simulation training.shapes training.networks training.inspection training.fitting "
-        "training.publishing training.paper",
+        "training.omnipush training.tables training.simulation training.shapes training.networks training.inspection "
+        "training.inspection.tables training.fitting training.publishing training.paper",
     }.items()
 }
 # Modules that import more than their package may: the transport of ``Client.local``, which answers in this process.
@@ -99,6 +101,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "training.simulation": "mujoco numpy tqdm",
         "training.networks": "torch",
         "training.inspection": "matplotlib numpy tqdm",
+        "training.inspection.tables": "matplotlib numpy tqdm",
         "training.fitting": "numpy safetensors torch tqdm",
         "training.publishing": "numpy torch",
         "training.paper": "matplotlib numpy torch tqdm",

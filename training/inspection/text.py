@@ -1,6 +1,6 @@
 """Text and JSON of an inspection."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final
 
 from training.inspection.findings import DatasetFinding, Severity
@@ -17,21 +17,36 @@ def inspection_lines(inspection: Inspection) -> Iterator[str]:
     for report in inspection.surfaces:
         yield from _surface_lines(report)
         yield ""
-    for severity in Severity:
-        findings = inspection.of(severity)
-        if findings:
-            yield f"{severity}s, on which training would be wrong:" if severity is Severity.ERROR else f"{severity}s:"
-        for finding in findings[:SHOWN]:
-            yield f"  {finding.code}: {_located(finding)}"
-        if len(findings) > SHOWN:
-            yield f"  ... and {len(findings) - SHOWN} more; --json lists all"
+    yield from finding_lines(inspection.findings)
     yield next_step(inspection)
+
+
+def finding_lines(findings: Sequence[DatasetFinding]) -> Iterator[str]:
+    """Return the lines of findings, errors first."""
+    for severity in Severity:
+        found = [finding for finding in findings if finding.severity is severity]
+        if found:
+            yield f"{severity}s, on which training would be wrong:" if severity is Severity.ERROR else f"{severity}s:"
+        for finding in found[:SHOWN]:
+            yield f"  {finding.code}: {_located(finding)}"
+        if len(found) > SHOWN:
+            yield f"  ... and {len(found) - SHOWN} more; --json lists all"
+
+
+def counted_findings(findings: Sequence[DatasetFinding]) -> str:
+    """Return the number of errors and of warnings."""
+    errors, warnings = (sum(each.severity is severity for each in findings) for severity in Severity)
+    return f"{errors} {'error' if errors == 1 else 'errors'}, {warnings} {'warning' if warnings == 1 else 'warnings'}"
+
+
+def finding_document(finding: DatasetFinding) -> dict[str, str]:
+    """Return a finding as a JSON document."""
+    return {"severity": finding.severity, "code": finding.code, "where": finding.where, "message": finding.message}
 
 
 def next_step(inspection: Inspection) -> str:
     """Return the last line: the number of findings, and the next step."""
-    errors, warnings = (len(inspection.of(severity)) for severity in Severity)
-    count = f"{errors} {'error' if errors == 1 else 'errors'}, {warnings} {'warning' if warnings == 1 else 'warnings'}"
+    count = counted_findings(inspection.findings)
     if not inspection.fit_to_train_on:
         return f"{count}; next: fix the errors, then cazsl-train data check {inspection.folder}"
     trained = [report.folder for report in inspection.surfaces if report.surface is SurfaceKind.ABS]
@@ -46,10 +61,7 @@ def inspection_document(inspection: Inspection) -> dict[str, Any]:
         "folder": str(inspection.folder),
         "fit_to_train_on": inspection.fit_to_train_on,
         "surfaces": [_surface_document(report) for report in inspection.surfaces],
-        "findings": [
-            {"severity": found.severity, "code": found.code, "where": found.where, "message": found.message}
-            for found in inspection.findings
-        ],
+        "findings": [finding_document(found) for found in inspection.findings],
         "next": next_step(inspection),
     }
 
