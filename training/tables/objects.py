@@ -54,13 +54,14 @@ def read_objects(file: TableFile) -> tuple[TableObject, ...]:
 def _check_order(file: TableFile, columns: Columns, name: str, start: int, end: int) -> None:
     """Refuse corners that are not numbered one after the other, from 0 or from 1."""
     numbers = columns.numbers["corner"][start:end]
-    wrong = numbers != np.arange(len(numbers)) + (1 if numbers[0] == 1 else 0)
+    first = 1 if numbers.min() == 1 else 0
+    wrong = numbers != np.arange(len(numbers)) + first
     if wrong.any():
         row = int(wrong.argmax())
         received = f"{numbers[row]:g} in object {name!r}"
-        if row and numbers[row] in (0, 1):
+        if numbers[row] == first and first in numbers[:row]:
             raise file.fault_at(start + row, "corner", f"{received} again", "each object once: rename the second one")
-        due = f"{row + (1 if numbers[0] == 1 else 0)}: number the corners 0, 1, 2 ... in order around the outline"
+        due = f"{row + first}: number the corners 0, 1, 2 ... in order around the outline"
         raise file.fault_at(start + row, "corner", received, due)
 
 

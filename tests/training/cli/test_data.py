@@ -15,6 +15,7 @@ import pytest
 from tests.training.command_line import cazsl_train, sole_line
 from tests.training.pickle_trap import PickleTrap
 from tests.training.synthetic_omnipush import SOURCE, write_surface, write_views
+from tests.training.tables.tables import write_folder
 from training.omnipush.published import different_surfaces
 from training.omnipush.pushes import OUTCOME_SUFFIX, PUSHER_SUFFIX, read_folder
 
@@ -340,3 +341,27 @@ def test_a_copy_under_turned_names_trains_like_the_published_one(data_folder: Pa
     result = cazsl_train("fit", recipe, "--data", turned, "--run", tmp_path / "run")
     assert result.exit_code == 0
     assert len(read_folder(turned).descriptors) == 250
+
+
+def test_a_table_is_checked_as_a_folder_is(tmp_path: Path) -> None:
+    """A folder with pushes.csv is checked as a table, and its faults end in one line each."""
+    table = write_folder(tmp_path / "mine")
+    result = cazsl_train("data", "check", table)
+    assert result.exit_code == 0
+    assert "few-objects" in result.stdout
+    assert result.stdout.splitlines()[-1] == f"0 errors, 2 warnings; next: cazsl-train data report {table}"
+
+    (table / "pushes.csv").write_text((table / "pushes.csv").read_text().replace("-0.06", "nan"))
+    assert sole_line(cazsl_train("data", "check", table)) == (
+        f"Error: {table / 'pushes.csv'}: row 1 (line 2), column pusher_x_m: received 'nan'; "
+        "accepted is a number in metres, finite and under 1e6"
+    )
+    document = json.loads(cazsl_train("data", "check", table, "--json").stdout)
+    assert document["code"] == "data"
+
+
+def test_options_of_tables_are_refused_for_other_folders(data_folder: Path) -> None:
+    """The option --objects belongs to tables, so a folder in Omnipush's format with it is a wrong command line."""
+    result = cazsl_train("data", "check", data_folder, "--objects", data_folder / "outlines.csv")
+    assert result.exit_code == 2
+    assert "--objects is for tables" in result.stderr

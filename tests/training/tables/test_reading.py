@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from service.errors import DataError
 from tests.training.tables.tables import PUSH, corner_rows, csv_text, write_folder
 from training.tables.reading import read_table
 
@@ -32,3 +34,95 @@ def test_the_recorded_pushes_layout_is_read_unchanged(tmp_path: Path) -> None:
     assert table.surfaces == ("abs", "plywood")
     assert table.labels["speed_mm_s"].values == ("10",)
     np.testing.assert_array_equal(table.peers["poly4"], [[0.03, 0.0, 0.1]] * 2)
+
+
+def fault_of(folder: Path) -> str:
+    """Return the one line in which reading a folder ends."""
+    with pytest.raises(DataError) as caught:
+        read_table(folder)
+    (line,) = str(caught.value).splitlines()
+    return line
+
+
+@pytest.mark.parametrize("cell", ["nan", "inf", "1e400", "", "abc", "0x10", "0.5 m", "٣", '"0,5"'])
+def test_a_cell_that_is_no_finite_number_is_named(tmp_path: Path, cell: str) -> None:
+    """Name the file, the row as the table and as a spreadsheet count it, the column and the cell."""
+    folder = write_folder(tmp_path, [PUSH, {**PUSH, "pusher_y_m": cell}])
+    assert fault_of(folder).startswith(f"{folder / 'pushes.csv'}: row 2 (line 3), column pusher_y_m: received ")
+
+
+def test_white_space_around_a_number_does_no_harm(tmp_path: Path) -> None:
+    """Read numbers and names with white space around them, as tables typed by hand have."""
+    table = read_table(write_folder(tmp_path, [{**PUSH, "object": " box ", "pusher_y_m": " 0.5 "}]))
+    assert table.pushers[0, 1] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"push_length_m": -0.05}, "column push_length_m: received -0.05; accepted is a positive number"),
+        ({"pusher_radius_m": 0}, "column pusher_radius_m: received 0; accepted is a positive number"),
+        ({"object": "bix"}, "received 'bix', which has no outline in"),
+        ({"object": ""}, "column object: received an empty cell; accepted is a name"),
+        ({"object": "b" * 5000}, "of 5000 characters; accepted is up to"),
+        ({"object": "\x1b[31mbox"}, r"received '\x1b[31mbox'"),
+    ],
+)
+def test_a_value_that_no_push_has_is_named(tmp_path: Path, changed: dict[str, object], words: str) -> None:
+    """Name a push backwards, a tip without size, and an object without an outline, a name or an end."""
+    assert words in fault_of(write_folder(tmp_path, [{**PUSH, **changed}]))
+
+
+def test_the_nearest_name_of_an_object_is_suggested(tmp_path: Path) -> None:
+    """Suggest the object whose name is nearest to one without an outline."""
+    assert fault_of(write_folder(tmp_path, [{**PUSH, "object": "bix"}])).endswith("'box' perhaps")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("pusher_x_m", "Pusher X m", "has no column pusher_x_m; rename 'Pusher X m' to pusher_x_m"),
+        ("push_length_m", "speed", "has no column push_length_m; add it"),
+        ("pusher_y_m", "pusher_x_m", "has 2 columns 'pusher_x_m'; remove all but one"),
+    ],
+)
+def test_a_missing_column_is_named_with_the_nearest(tmp_path: Path, old: str, new: str, words: str) -> None:
+    """Name a column that is missing, misspelt or doubled, and the way to correct it."""
+    path = write_folder(tmp_path) / "pushes.csv"
+    path.write_text(path.read_text().replace(old, new))
+    assert words in fault_of(tmp_path)
+
+
+def test_a_table_without_rows_is_refused(tmp_path: Path) -> None:
+    """Refuse a header alone, and an empty file."""
+    path = write_folder(tmp_path) / "pushes.csv"
+    path.write_text(path.read_text().splitlines()[0] + "\n")
+    assert "has a header and no pushes" in fault_of(tmp_path)
+    path.write_text("")
+    assert "is empty" in fault_of(tmp_path)
+
+
+def test_empty_rows_at_the_end_are_skipped(tmp_path: Path) -> None:
+    """Skip empty rows behind the last push, as spreadsheets leave them, and refuse one before it."""
+    path = write_folder(tmp_path) / "pushes.csv"
+    header, push = path.read_text().splitlines()
+    path.write_text(f"{header}\n{push}\n\n,,,,,,,\n")
+    assert read_table(tmp_path).count == 1
+    path.write_text(f"{header}\n{push}\n\n{push}\n")
+    assert "row 2 (line 3) is empty, and rows follow; delete it" in fault_of(tmp_path)
+
+
+def test_a_column_of_too_many_values_is_left_out(tmp_path: Path) -> None:
+    """Keep a column of a few texts to split by, and name one of a different number in every row as not read."""
+    pushes = [{**PUSH, "run": number % 2, "time_s": 0.25 * number} for number in range(1200)]
+    table = read_table(write_folder(tmp_path, pushes))
+    assert list(table.labels) == ["run"]
+    assert table.ignored == ("time_s",)
+
+
+def test_the_digest_is_of_the_content(tmp_path: Path) -> None:
+    """Return another digest for another number, and the same one for another peer or label."""
+    first = read_table(write_folder(tmp_path / "a"))
+    labelled = read_table(write_folder(tmp_path / "b", [{**PUSH, "run": "x"}]))
+    other = read_table(write_folder(tmp_path / "c", [{**PUSH, "pusher_x_m": -0.061}]))
+    assert first.digest == labelled.digest != other.digest

@@ -86,7 +86,8 @@ def odd_repeats(where: str, table: PushTable) -> Iterator[DatasetFinding]:
     """Find rows that occur twice."""
     twice = _repeated(table)
     if twice.any():
-        text = f"{twice.sum()} pushes occur twice, to the last digit ({rows_of(twice)}); those count double"
+        repeat = "push repeats" if twice.sum() == 1 else "pushes repeat"
+        text = f"{twice.sum()} {repeat} an earlier one to the last digit ({rows_of(twice)}); those count double"
         yield DatasetFinding(Severity.WARNING, "pushes-twice", where, text)
 
 

@@ -160,7 +160,9 @@ def _readings(table: PushTable) -> Mapping[str, Reading]:
     """Return other readings of the poses by their description."""
     index = table.object_index
     centroid = np.array([item.outline.centroid_m for item in table.objects])[index]
-    box = np.array([item.outline.corners.min(axis=0) for item in table.objects])[index]
+    low, high = (
+        np.array([limit(item.outline.corners, axis=0) for item in table.objects])[index] for limit in (np.min, np.max)
+    )
 
     def angle(turned: Callable[[DoubleArray], DoubleArray]) -> Reading:
         def read(pushers: DoubleArray, outcomes: DoubleArray) -> Poses:
@@ -194,10 +196,9 @@ def _readings(table: PushTable) -> Mapping[str, Reading]:
         "the poses are turned by 90 degrees against the outlines": _linear(0, -1, 1, 0),
         "the poses are turned by 180 degrees against the outlines": _linear(-1, 0, 0, -1),
         "the poses are turned by 270 degrees against the outlines": _linear(0, 1, -1, 0),
-        "the poses are about the centroid, unlike the outlines: subtract the centroid from the corners": shifted(
-            centroid
-        ),
-        "the poses are about a corner of the box around the outline, unlike the corners": shifted(box),
+        "the poses are about the centroid: subtract it from the corners": shifted(centroid),
+        "the poses are about the middle of the box around the outline: subtract it": shifted((low + high) / 2.0),
+        "the poses are about the lower left corner of the box around the outline: subtract it": shifted(low),
         **_outcome_readings(table),
     }
 
