@@ -1,8 +1,8 @@
 """Random outlines of a family, in metres: proportions from the family, then size, orientation, and origin.
 
 The size is the largest distance between two corners, 20 to 300 mm, even in its logarithm. The orientation is any. The
-origin lies off the centroid by up to a tenth of the size along each axis, as a tracker's markers do: the frame is that
-of whoever gives the outline, and a model that takes the origin for the centroid is caught.
+origin lies off the centroid by up to a tenth of the size along each axis, as a tracker's markers do: outlines come in
+any frame, and a model that takes the origin for the centroid fails here first.
 
 Corners are on a grid of a micrometre, so that last digits, which depend on the processor, vanish.
 """
