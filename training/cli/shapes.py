@@ -25,7 +25,7 @@ NAMES: Final = [*KINDS, *FAMILIES]
 @option("--families", type=click.Choice(NAMES), multiple=True, help="Families or kinds to draw from. [default: all]")
 @option("--hold-out", type=click.Choice(NAMES), multiple=True, help="Families or kinds to leave out, to test on later.")
 @option("--jobs", type=click.IntRange(1, 1024), help="Objects at once. [default: one per processor]")
-@option("--gallery", type=FILE, help="Draw only this PNG: every family, and some of its objects with pushes.")
+@option("--gallery", type=FILE, help="Draw only this PNG: the families, and some objects with a push.")
 def simulate_drawn_shapes(
     folder: Path,
     objects: int,
@@ -56,7 +56,7 @@ def simulate_drawn_shapes(
         from training.shapes.gallery import draw_gallery  # slow to import, as matplotlib is
 
         draw_gallery(gallery, chosen, seed)
-        echo(f"{gallery} shows {len(chosen)} families, and pushes of an object of each")
+        echo(f"{gallery} shows {len(chosen)} families, and pushes of two objects of each")
         return
     started = time.perf_counter()
     executor = choose_executor(jobs or processors())
