@@ -16,6 +16,11 @@ L_SHAPE = Outline.of([[0.0, 0.0], [0.1, 0.0], [0.1, 0.03], [0.03, 0.03], [0.03, 
 TRIANGLE = Outline.of([[0.045, 0.045], [-0.0809, 0.045], [0.045, -0.08087]])
 
 
+NOTCHED = Outline.of(
+    [[-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [-0.05, 0.05], [-0.05, 0.02], [-0.03, 0.0], [-0.05, -0.02]]
+)
+
+
 def disc(radius_m: float) -> Outline:
     """Return a regular polygon that is a disc within 0.002 % of its radius."""
     angle = np.arange(512) * 2.0 * math.pi / 512
@@ -108,6 +113,25 @@ def test_a_disc_without_friction_leaves_the_tip_as_the_closed_form_says() -> Non
     assert x == pytest.approx(pusher[0, 0] + travel_m + reach_m * math.cos(end), abs=2e-5)
     assert y == pytest.approx(-offset_m + reach_m * math.sin(end), abs=2e-5)
     assert yaw == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_tip_in_a_notch_carries_the_object_along() -> None:
+    """A tip that rests on both sides of a notch of 90 degrees moves the object as far as itself, without a turn."""
+    travel_m = 0.07 - (0.05 - 0.006 * math.sqrt(2.0))
+    found = push(NOTCHED, np.array([[-0.08, 0.0, 0.0, 0.07]]), 0.006)
+    assert found[0] == pytest.approx([travel_m, 0.0, 0.0], abs=5e-5)
+
+
+@pytest.mark.parametrize("outline", [NOTCHED, L_SHAPE], ids=["notch", "L"])
+def test_a_tip_does_not_enter_a_notched_object(outline: Outline) -> None:
+    """After pushes into a notch the tips touch the object or are away from it, and more steps change little."""
+    pushers = around(outline, 200)
+    found = push(outline, pushers, TIP_M)
+    ends = pushers[:, :2] + pushers[:, 3:] * np.column_stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])])
+    off, cos, sin = ends - found[:, :2], np.cos(found[:, 2]), np.sin(found[:, 2])
+    seen = np.column_stack([cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]])
+    assert outline.distance_m(seen).min() > 0.95 * TIP_M
+    assert np.median(np.abs(found - push(outline, pushers, TIP_M, steps=200))) < 1e-4
 
 
 def test_a_miss_stays_exactly_at_rest() -> None:
