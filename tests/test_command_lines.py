@@ -33,9 +33,13 @@ USUAL: Final = {
     **{name: "{tmp}/" + name for name in ("destination", "source", "target", "run")},
     **{"key": "{tmp}/key.pem", "registry": "{tmp}/models"},
 }
-SMALL: Final = {"simulate": ["--surface", "plywood", "--pushes", "1"], "reproduce": ["different-objects"]}
+SMALL: Final = {
+    "omnipush": ["--surface", "plywood", "--pushes", "1"],
+    "shapes": ["--objects", "1", "--pushes", "1", "--families", "box", "--jobs", "1"],
+    "reproduce": ["different-objects"],
+}
 SERVES: Final = "serve"  # starts a service with many of the values, and has the options of config
-DRAWS: Final = {"simulate", "images"}  # slow where they can write
+DRAWS: Final = {"omnipush", "shapes", "images"}  # slow where they can write
 LIMIT_S: Final = 60
 
 

@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +15,14 @@ import pytest
 from service.bulk.executors import choose_executor
 from service.errors import DataError
 from service.pushing.first_contact import first_contact
+from service.pushing.outlines import Outline
 from training.omnipush.declaration import DATASET_FILE
 from training.omnipush.npy_files import write_npy
-from training.shapes.dataset import PARTS, PUSH_LENGTHS_M, ShapePlan, push_named, simulate_shapes
+from training.shapes.dataset import PARTS, PUSH_LENGTHS_M, ShapePlan, draw_named, push_named, simulate_shapes
 from training.shapes.families import chosen_families
 from training.shapes.objects import FRICTIONS
 from training.simulation.approach import LEAST_GAP_M
+from training.simulation.bodies import Body, draw_body
 from training.tables.push_table import PushTable
 from training.tables.reading import read_table
 from training.tables.splits import split_by_column
@@ -163,6 +166,23 @@ def test_held_out_families_do_not_change_the_other_objects() -> None:
     assert {family for family, _ in replace(PLAN, objects=99, families=chosen_families([], ["tools"])).names} == set(
         chosen_families([], ["tools"])
     )
+
+
+def test_an_object_that_no_feet_balance_is_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A centre of mass that the feet do not surround is rare, and does not end a run."""
+    seen: list[Outline] = []
+
+    def fail_once(outline: Outline, *others: Any) -> Body:
+        seen.append(outline)
+        if len(seen) == 1:
+            raise ValueError("the centre of mass lies outside of the feet")
+        return draw_body(outline, *others)
+
+    monkeypatch.setattr("training.shapes.dataset.draw_body", fail_once)
+    drawn, body, _ = draw_named(PLAN, "bar", 0)
+
+    assert drawn.outline is body.outline is seen[1]
+    assert not np.array_equal(seen[0].corners, seen[1].corners)
 
 
 @pytest.mark.parametrize(
