@@ -115,6 +115,19 @@ def command(options: argparse.Namespace) -> str:
     return " ".join(parts)
 
 
+def make_folder(folder: Path | None) -> None:
+    """Make the folder of the page, if one is named, before the work begins.
+
+    Raises:
+        DataError: it cannot be made.
+    """
+    try:
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"--out: {folder} cannot be made ({error.strerror}); name a folder to write into") from error
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Score, print, and write the page."""
     parser = argparse.ArgumentParser(
@@ -137,6 +150,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.draws < 2:
         parser.error("--draws: two or more, for a spread")
     try:
+        make_folder(options.out)
         table = choose(read_table(options.folder, options.objects), options.shapes, options.limit)
         findings = find(table, options)
     except (CazslError, ClientError) as error:

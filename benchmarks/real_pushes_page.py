@@ -88,7 +88,8 @@ def worth(models: Sequence[ModelScores]) -> str:
     best = min(models, key=lambda model: model.scores[OVERALL].position_mm.mean).scores[OVERALL]
     found = best.position_mm
     return (
-        f"**{best.pushes} pushes are few.** The best model's mean error is {found.mean:.2f} mm here, and could be "
+        f"**{best.pushes} push{'es are' if best.pushes > 1 else ' is'} few.** "
+        f"The best model's mean error is {found.mean:.2f} mm here, and could be "
         f"{found.low:.2f} to {found.high:.2f} mm on other pushes of the same kind. Two models whose brackets overlap "
         f"are not told apart, and a coverage is known within {100 / math.sqrt(best.pushes):.0f} points. {FEW_PUSHES} "
         "pushes and more, of several objects, say more."
@@ -113,8 +114,7 @@ def repeats_text(found: tuple[Repeats | None, Repeats | None]) -> str:
 
 
 def write_page(folder: Path, findings: Findings) -> None:
-    """Write page, plot and figures. Each file appears whole."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Write page, plot and figures into a folder that exists."""
     _draw(folder / PLOT_FILE, findings.models)
     replace_whole(folder / FIGURES_FILE, (json.dumps(_figures(findings), indent=1) + "\n").encode())
     replace_whole(folder / PAGE_FILE, _page(findings).encode())

@@ -141,13 +141,14 @@ def test_an_outline_that_does_not_fit_the_pushes_is_doubted(tmp_path: Path, caps
         (["table", "--models", "mechanics", "push-cup"], "--models: there is no push-cup"),
         (["table", "--models", "push-indicator"], "push-indicator is not asked"),
         (["table", "--models-folder", "missing"], "missing"),
+        (["table", "--out", "table/objects.parquet"], "name a folder to write into"),
     ],
-    ids=["no table", "no object", "no model", "no model that fits", "no registry"],
+    ids=["no table", "no object", "no model", "no model that fits", "no registry", "a file"],
 )
 def test_a_mistake_ends_in_one_line(options: list[str], words: str, tmp_path: Path) -> None:
     """A mistake ends the command with one line that says how to go on."""
     write_table(tmp_path / "table", table(4))
-    paths = [str(tmp_path / option) if option in ("table", "missing") else option for option in options]
+    paths = [str(tmp_path / option) if option.startswith(("table", "missing")) else option for option in options]
     with pytest.raises(SystemExit) as caught:
         main(paths)
     assert words in str(caught.value)
