@@ -141,7 +141,7 @@ class _State:
     ) -> Array:
         """Return the motions (3, m) of the pushes ``rows``: x_m, y_m, yaw_rad of the centre of mass."""
         loads, contact, step, travel = self._loads[:, rows], self._contact[rows], step[:, rows], travel[rows]
-        touches = [touch[:, rows] for touch in (first, second) if touch is not None]
+        first, second = first[:, rows], second if second is None else second[:, rows]
         motion = self._motion[:, rows]
         fresh = (motion[0] == 0.0) & (motion[1] == 0.0) & (motion[2] == 0.0)
         motion = np.where(fresh, np.stack([step[0], step[1], np.zeros(len(rows))]), motion)
@@ -153,7 +153,15 @@ class _State:
             total = _sum(damping)
             x, y = _sum(damping * self._feet_x) / total, _sum(damping * self._feet_y) / total
             inertia = _sum(damping * self._square) - total * (x * x + y * y)
-            motion = _contact_motion(total, np.stack([x, y]), inertia, touches, step, contact)
+            middle = np.stack([x, y])
+            motion = _contact_motion(total, middle, inertia, [first], step, contact)
+            if second is not None:  # few rods would enter a second edge
+                two = np.flatnonzero(_closing(second, step - _motion_at(second, motion)) > 0.0)
+                if len(two):
+                    both = [first[:, two], second[:, two]]
+                    motion[:, two] = _contact_motion(
+                        total[two], middle[:, two], inertia[two], both, step[:, two], contact[two]
+                    )
         return motion
 
 
@@ -279,6 +287,11 @@ def _closing(touch: Array, step: Array) -> Array:
 def _sum(values: Array) -> Array:
     """Return the sums (m,) of values (k, m), always added in one order: numpy sums a single column in another."""
     return np.asarray(values.sum(axis=0) if values.shape[1] > 1 else np.cumsum(values, axis=0)[-1])
+
+
+def _motion_at(touch: Array, motion: Array) -> Array:
+    """Return the motion (2, m) of the object at contacts (5, m)."""
+    return np.stack([motion[0] - motion[2] * touch[1], motion[1] + motion[2] * touch[0]])
 
 
 def _rotated(vectors: Array, cos: Array, sin: Array) -> Array:

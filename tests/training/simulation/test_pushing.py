@@ -5,10 +5,17 @@ import math
 import numpy as np
 import numpy.typing as npt
 import pytest
+from mujoco import rollout
 
 from service.pushing.outlines import Outline
+from training.simulation import surfaces
+from training.simulation.approach import Approach, draw_pushers
 from training.simulation.bodies import RECORDED, Body, Conditions, body, even_conditions
+from training.simulation.dataset import push_object
+from training.simulation.pieces import convex_pieces
 from training.simulation.pushing import push_body, simulate_pushes
+from training.simulation.scene import PUSHER_RADIUS_M
+from training.simulation.solids import Solid
 from training.simulation.surfaces import Array
 
 RADIUS_M = 0.005
@@ -152,6 +159,24 @@ def test_a_rod_in_a_notch_as_wide_as_itself_carries_the_object_along() -> None:
     tip = held[:2] + np.array([cos * -0.03 - sin * 0.01, sin * -0.03 + cos * 0.01])
 
     assert np.linalg.norm(rod - tip) == pytest.approx(math.sqrt(2.0) * RADIUS_M, abs=3e-4)
+
+
+@pytest.mark.parametrize("outline", [SQUARE, U_SHAPE], ids=["square", "U"])
+def test_mujoco_agrees_on_the_same_feet(outline: Outline) -> None:
+    """Half of the pushes end within 1 mm and 1 degree of MuJoCo's contacts of convex pieces and feet with a plate."""
+    pushed = even_body(outline)
+    lengths_m = np.full(30, 0.05)
+    pushers = draw_pushers(outline, lengths_m, PUSHER_RADIUS_M, np.random.default_rng(1), Approach())
+    feet = tuple((float(x), float(y)) for x, y in pushed.feet_m)
+    solid = Solid(convex_pieces(outline), (), feet)
+    with rollout.Rollout(nthread=0) as pool:
+        expected = push_object(solid, pushers[:, :3], surfaces.even_conditions(30), pool, 1)
+    found = push_body(pushed, pushers, PUSHER_RADIUS_M, even_conditions(pushed, 30))
+
+    away_m = np.linalg.norm(found[:, :2] - expected[:, :2], axis=1)
+    assert np.median(np.linalg.norm(expected[:, :2], axis=1)) > 0.01
+    assert np.median(away_m) < 0.001
+    assert np.median(np.abs(found[:, 2] - expected[:, 2])) < math.radians(1.0)
 
 
 def test_a_rod_that_starts_inside_is_moved_out() -> None:
