@@ -90,7 +90,12 @@ def error_table(table: PushTable, even: DoubleArray, drawn: DoubleArray) -> list
     for name, rows in groups.items():
         if rows.any():
             lines.append(f"| {name} | {rows.sum()} | " + " | ".join(cell(each, rows) for each in found.values()) + " |")
-    return lines
+    shapes = [np.flatnonzero(table.object_index == item) for item in range(len(table.objects))]
+    means = [
+        " | ".join(f"{np.mean([values[rows].mean() for rows in shapes]):.2f}" for values in each)
+        for each in found.values()
+    ]
+    return [*lines, f"| mean of the means of the shapes | {len(shapes)} shapes | " + " | ".join(means) + " |"]
 
 
 def scatter_table(table: PushTable, drawn: DoubleArray) -> list[str]:
@@ -199,6 +204,14 @@ def report(table: PushTable, draws: int, mujoco: int) -> list[str]:
     return [*lines, "", *mujoco_table(table, mujoco)] if mujoco else lines
 
 
+def heading(table: PushTable, options: argparse.Namespace) -> list[str]:
+    """Return the opening of the written report: the command and the table."""
+    rows = f"--rows {options.rows} " if options.rows else ""
+    command = f"python -m benchmarks.scene FOLDER {rows}--draws {options.draws} --mujoco {options.mujoco}"
+    about = f"{len(table.pushers):,} pushes of {len(table.objects)} objects (digest {table.digest[:8]}...)"
+    return ["# Figures of the simulation", "", f"`{command}`, on {about}. Means, and medians in brackets.", ""]
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Read the table, search or report."""
     parser = argparse.ArgumentParser(
@@ -223,7 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         lines = report(table, options.draws, options.mujoco)
         print("\n".join(lines))
         if options.out:
-            replace_whole(options.out, ("\n".join(lines) + "\n").encode())
+            replace_whole(options.out, ("\n".join([*heading(table, options), *lines]) + "\n").encode())
     except CazslError as error:
         sys.exit(f"error: {error}")
 
