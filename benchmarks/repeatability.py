@@ -13,9 +13,8 @@ import numpy as np
 from mujoco import rollout
 
 from service.processors import processors
-from training.simulation.dataset import push_object, relative
 from training.simulation.plans import RING
-from training.simulation.scene import PUSHER_RADIUS_M
+from training.simulation.scene import PUSHER_RADIUS_M, push_object, relative
 from training.simulation.solids import Solid
 from training.simulation.surfaces import SURFACES, FrictionField, draw_conditions
 

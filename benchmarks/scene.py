@@ -30,10 +30,10 @@ from service.errors import CazslError
 from service.pushing.poses import DoubleArray
 from service.storage.disk import replace_whole
 from training.simulation.bodies import RECORDED, Physics, body
-from training.simulation.dataset import push_object
 from training.simulation.pieces import convex_pieces
 from training.simulation.pushing import STEP_M
 from training.simulation.replay import replay, replay_even
+from training.simulation.scene import push_object
 from training.simulation.solids import Solid
 from training.simulation.surfaces import even_conditions
 from training.tables.push_table import IndexArray, PushTable

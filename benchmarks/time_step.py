@@ -11,9 +11,8 @@ from mujoco import rollout
 from service.processors import processors
 from service.pushing.contexts import ObjectContext
 from training.omnipush.published import omnipush_descriptors
-from training.simulation.dataset import push_object
 from training.simulation.plans import sample_pushers
-from training.simulation.scene import TIME_STEP_S
+from training.simulation.scene import TIME_STEP_S, push_object
 from training.simulation.solids import solid
 from training.simulation.surfaces import even_conditions
 

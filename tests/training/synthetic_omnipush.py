@@ -8,7 +8,7 @@ import numpy as np
 
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.files import Array, Variant
-from training.omnipush.published import omnipush_descriptors
+from training.omnipush.published import omnipush_descriptors, recorded_outcomes
 from training.omnipush.pushes import write_object
 from training.omnipush.views import view_file_name
 from training.simulation import drawing
@@ -17,12 +17,16 @@ SOURCE = "synthetic pushes of a test"
 
 
 def plausible_pushes(count: int, seed: int) -> tuple[Array, Array]:
-    """Draw pushers around an object and outcomes with the published spread, (count, 3) each."""
+    """Draw pushers around an object and outcomes spread as those recorded, (count, 3) each."""
     rng = np.random.default_rng(seed)
     bearing, radius = rng.uniform(-math.pi, math.pi, count), rng.uniform(0.075, 0.084, count)
     angle = np.angle(np.exp(1j * (bearing + math.pi + rng.normal(0.0, 0.2, count))))
     pushers = np.column_stack([radius * np.cos(bearing), radius * np.sin(bearing), angle])
-    return pushers, np.column_stack([0.022 * np.cos(angle), 0.022 * np.sin(angle), rng.normal(0.0, 0.215, count)])
+    recorded, levels = recorded_outcomes(), rng.uniform(0.0, 1.0, (2, count))
+    places = (0.0, *recorded.quantiles, 1.0)
+    distance = np.interp(levels[0], places, (1.1, *recorded.distance_mm, 40.0)) / 1e3
+    yaw = np.radians(np.interp(levels[1], places, (0.0, *recorded.turn_deg, 30.0))) * rng.choice((-1.0, 1.0), count)
+    return pushers, np.column_stack([distance * np.cos(angle), distance * np.sin(angle), yaw])
 
 
 def write_surface(

@@ -16,8 +16,9 @@ from matplotlib.path import Path as DrawnPath
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
 from service.storage.disk import replace_whole
-from training.inspection.statistics import compare_statistics, missed
-from training.omnipush.published import published_normalisation
+from training.inspection.statistics import QUANTILES as MOTION_QUANTILES
+from training.inspection.statistics import compare_statistics, missed, motion_quantiles, recorded_motion
+from training.omnipush.published import published_normalisation, weight_count
 from training.omnipush.pushes import Pushes
 from training.simulation.scene import PUSHER_RADIUS_M
 from training.simulation.solids import WEIGHT_RADIUS_M, solid
@@ -75,6 +76,7 @@ def report(pushes: Pushes) -> str:
         _quantile_row("displacement (mm)", distance_mm),
         _quantile_row("rotation (deg)", turn_deg),
         "",
+        *_motion_beside_recorded(pushes),
         f"![Histograms of pushes and outcomes]({HISTOGRAMS_FILE})",
         "",
         f"![Start in grey, end in blue, path of the pusher in orange]({GALLERY_FILE})",
@@ -164,3 +166,33 @@ def _displacement_mm(outcomes: Array) -> Array:
 
 def _quantile_row(name: str, values: Array) -> str:
     return f"| {name} | " + " | ".join(f"{value:.1f}" for value in np.quantile(values, QUANTILES)) + " |"
+
+
+def _motion_beside_recorded(pushes: Pushes) -> list[str]:
+    """Return a table of the motion of objects without weights beside Omnipush's recordings on ABS, if there are any."""
+    bare = [
+        outcomes[valid > 0]
+        for name, outcomes, valid in zip(pushes.descriptors, pushes.outcomes, pushes.valid, strict=True)
+        if weight_count(name) == 0
+    ]
+    if not bare:
+        return []
+    found, recorded = motion_quantiles(np.concatenate(bare)), recorded_motion()
+    return [
+        "Objects without weights, pushes that moved them by over 1 mm, beside Omnipush's recordings on ABS (CC-BY-4.0, "
+        f"Bauza et al., IROS 2019). {100 * found.still_share:.1f} % of the pushes did not move them, "
+        f"{100 * recorded.still_share:.1f} % of the recorded ones.",
+        "",
+        "| quantile | " + " | ".join(f"{100 * q:.0f} %" for q in MOTION_QUANTILES) + " |",
+        "|---|" + "---|" * len(MOTION_QUANTILES),
+        *(
+            f"| {name} | " + " | ".join(f"{value:.1f}" for value in values) + " |"
+            for name, values in (
+                ("distance (mm)", found.distance_mm),
+                ("recorded", recorded.distance_mm),
+                ("turn (deg)", found.turn_deg),
+                ("recorded", recorded.turn_deg),
+            )
+        ),
+        "",
+    ]

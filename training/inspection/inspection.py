@@ -13,15 +13,28 @@ import numpy as np
 from tqdm import tqdm
 
 from service.errors import DataError
-from training.inspection.findings import DatasetFinding, ObjectPushes, Severity, odd_normalised, surface_findings
+from training.inspection.findings import (
+    ENOUGH_PUSHES,
+    DatasetFinding,
+    ObjectPushes,
+    Severity,
+    odd_normalised,
+    surface_findings,
+)
 from training.inspection.object_lists import Membership, membership
-from training.inspection.statistics import QuantityStatistics, compare_statistics, missed
+from training.inspection.statistics import (
+    MotionQuantiles,
+    QuantityStatistics,
+    compare_statistics,
+    missed,
+    motion_quantiles,
+)
 from training.inspection.views import find_views, missing_views, odd_views
 from training.omnipush.declaration import UNKNOWN_SOURCE, read_source
 from training.omnipush.files import Array, FilePair, FolderListing, Variant, list_folder, read_pair
 from training.omnipush.layout import SurfaceKind, surface_folders, surface_kind, view_places
 from training.omnipush.object_identity import counted
-from training.omnipush.published import published_normalisation
+from training.omnipush.published import published_normalisation, weight_count
 
 
 @dataclass(frozen=True)
@@ -39,6 +52,7 @@ class SurfaceReport:
     dtypes: dict[str, int]  # files of each precision
     missed_share: float
     figures: tuple[QuantityStatistics, ...]
+    motion: MotionQuantiles | None  # of objects without weights on ABS, as recorded
     membership: Membership
     views: int  # objects with a top-down view
 
@@ -86,7 +100,7 @@ def inspect(folder: Path, quiet: bool = False) -> Inspection:
             report = _report(surface, listing, objects, set(views), _source(surface, findings))
             reports.append(report)
             findings += _odd_variants(surface, listing, objects)
-            findings += surface_findings(str(surface), objects, report.figures)
+            findings += surface_findings(str(surface), objects, report.figures, report.motion)
             findings += report.membership.findings(str(surface))
             findings += missing_views(str(surface), (item.descriptor for item in objects), views)
     findings += odd_views(views, quiet)
@@ -112,9 +126,17 @@ def _report(
         dtypes=dict(Counter(dtype for item in objects for dtype in item.dtypes)),
         missed_share=float(missed(outcomes).mean()),
         figures=compare_statistics(pushers, outcomes, published_normalisation()),
+        motion=_motion(surface_kind(folder), objects),
         membership=membership(surface_kind(folder), names),
         views=len(views & set(names)),
     )
+
+
+def _motion(kind: SurfaceKind, objects: Sequence[ObjectPushes]) -> MotionQuantiles | None:
+    """Return quantiles of the pushes of the kind recorded, of objects without weights on ABS, if there are enough."""
+    bare = [item.outcomes for item in objects if kind is SurfaceKind.ABS and weight_count(item.descriptor) == 0]
+    enough = sum(len(outcomes) for outcomes in bare) >= ENOUGH_PUSHES
+    return motion_quantiles(np.concatenate(bare)) if enough else None
 
 
 def _readable(

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from training.omnipush.files import Array
-from training.omnipush.published import Normalisation
+from training.omnipush.published import Normalisation, recorded_outcomes
 
 QUANTITIES: Final = (
     "pusher x_m",
@@ -79,3 +79,9 @@ def motion_quantiles(outcomes: npt.NDArray[np.floating[Any]]) -> MotionQuantiles
     rows = [1e3 * distance[moved], np.abs(np.degrees(outcomes[moved, 2]))]
     levels = [tuple(np.quantile(row, QUANTILES).tolist()) if moved.any() else (math.nan,) * 5 for row in rows]
     return MotionQuantiles(float(missed(outcomes).mean()), *levels)
+
+
+def recorded_motion() -> MotionQuantiles:
+    """Return the quantiles of Omnipush's recordings: objects without weights on ABS, pushes that missed included."""
+    recorded = recorded_outcomes()
+    return MotionQuantiles(recorded.did_not_move_share, recorded.distance_mm, recorded.turn_deg)

@@ -1,12 +1,13 @@
 """Text and JSON of an inspection."""
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Final
 
 from training.inspection.findings import DatasetFinding, Severity
 from training.inspection.inspection import Inspection, SurfaceReport
 from training.inspection.object_lists import Membership
-from training.inspection.statistics import QuantityStatistics
+from training.inspection.statistics import QUANTILES, MotionQuantiles, QuantityStatistics, recorded_motion
 from training.omnipush.layout import SurfaceKind
 
 SHOWN: Final = 20  # findings of one severity in the text; --json has all of them
@@ -76,6 +77,34 @@ def statistics_lines(figures: Iterable[QuantityStatistics]) -> Iterator[str]:
         )
 
 
+def motion_lines(motion: MotionQuantiles, other: tuple[str, MotionQuantiles] | None = None) -> Iterator[str]:
+    """Return the lines of a table of the motion, beside that of other pushes."""
+    yield f"{'':26}" + "".join(f"{100 * level:>7.0f} %" for level in QUANTILES) + "   did not move"
+    for name, each in (("", motion), *(() if other is None else (other,))):
+        label = f" {name[:20]}" if name else ""
+        yield (
+            f"{'distance (mm)' if not name else label:26}"
+            + _cells(each.distance_mm)
+            + f"{100 * each.still_share:>13.1f} %"
+        )
+    for name, each in (("", motion), *(() if other is None else (other,))):
+        yield f"{'turn (degrees)' if not name else f' {name[:20]}':26}" + _cells(each.turn_deg)
+
+
+def motion_document(motion: MotionQuantiles) -> dict[str, Any]:
+    """Return quantiles of the motion as a JSON document, null where no push moved the object."""
+
+    def values(row: tuple[float, ...]) -> list[float | None]:
+        return [None if math.isnan(value) else value for value in row]
+
+    return {
+        "still_share": motion.still_share,
+        "quantiles": list(QUANTILES),
+        "distance_mm": values(motion.distance_mm),
+        "turn_deg": values(motion.turn_deg),
+    }
+
+
 def _located(finding: DatasetFinding) -> str:
     """Return the message, with the surface in front unless the message names its file."""
     return finding.message if finding.where in finding.message else f"{finding.where}: {finding.message}"
@@ -91,6 +120,9 @@ def _surface_lines(report: SurfaceReport) -> Iterator[str]:
     yield f"  contact  {100 * report.missed_share:.2f} % of the pushes did not move the object"
     yield f"  views    {report.views} of {report.objects} objects have a top-down view"
     yield from (f"  {line}" for line in statistics_lines(report.figures))
+    if report.motion is not None:
+        yield "  objects without weights, pushes that moved them by over 1 mm:"
+        yield from (f"  {line}" for line in motion_lines(report.motion, ("recorded", recorded_motion())))
 
 
 def _members(found: Membership) -> str:
@@ -112,6 +144,8 @@ def _surface_document(report: SurfaceReport) -> dict[str, Any]:
         "dtypes": report.dtypes,
         "missed_share": report.missed_share,
         "views": report.views,
+        "motion": None if report.motion is None else motion_document(report.motion),
+        "recorded_motion": motion_document(recorded_motion()),
         "statistics": {
             figure.quantity: {
                 "mean": figure.mean,
@@ -127,3 +161,7 @@ def _surface_document(report: SurfaceReport) -> dict[str, Any]:
         "turned": report.membership.turned,
         "extra": report.membership.extra,
     }
+
+
+def _cells(values: tuple[float, ...]) -> str:
+    return "".join(f"{value:>9.1f}" for value in values)

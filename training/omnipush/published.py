@@ -1,6 +1,6 @@
 """Published facts of Omnipush beside its files: normalisation statistics, and splits into training and test objects.
 
-The figures are in ``omnipush_facts.json``, which names its sources.
+The figures are in ``omnipush_facts.json`` and ``omnipush_outcomes.json``, which name their sources.
 """
 
 import json
@@ -45,12 +45,30 @@ class Split:
     test_surface: str | None = None  # name of the folder beside that of the training objects, None for the same one
 
 
+@dataclass(frozen=True)
+class RecordedOutcomes:
+    """Outcomes of the raw recordings of objects without weights on ABS, pushes that moved nothing included."""
+
+    did_not_move_share: float
+    quantiles: tuple[float, ...]
+    distance_mm: tuple[float, ...]  # at the quantiles, of the pushes that moved the object by over 1 mm
+    turn_deg: tuple[float, ...]  # of the same pushes, without the sign
+
+
 @cache
-def _facts() -> dict[str, Any]:
-    """Read the published facts that ship with the trainer."""
-    text = resources.files("training.omnipush").joinpath("omnipush_facts.json").read_text(encoding="utf-8")
+def _facts(name: str = "omnipush_facts.json") -> dict[str, Any]:
+    """Read published facts that ship with the trainer."""
+    text = resources.files("training.omnipush").joinpath(name).read_text(encoding="utf-8")
     facts: dict[str, Any] = json.loads(text)
     return facts
+
+
+def recorded_outcomes() -> RecordedOutcomes:
+    """Return the quantiles of distance and turn of Omnipush's recordings (CC-BY-4.0, Bauza et al., IROS 2019)."""
+    facts = _facts("omnipush_outcomes.json")
+    moved = facts["of_those_that_moved_over_1_mm"]
+    rows = (tuple(moved[name]) for name in ("quantiles", "distance_mm", "abs_yaw_deg"))
+    return RecordedOutcomes(facts["did_not_move_share"], *rows)
 
 
 def published_normalisation() -> Normalisation:

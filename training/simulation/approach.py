@@ -1,10 +1,10 @@
 """Starts and aims over the whole approach to an object of any outline.
 
 A **touching** push comes from a random direction, with its line anywhere over the outline's width, the pusher's own
-included, and starts between touch and one length of the push before its first contact. Both are uniform, so every part
-of the push may be left at contact, and glancing pushes are as frequent as their width. The lines of a share of them are
-drawn near the centroid instead (``Approach.central_share``), as those who collect pushes aim at the object. A
-**missing** push starts where a touching one may, heads anywhere, and never reaches the object.
+included, and starts between touch and one length of the push before its first contact. Both are uniform by default, so
+every part of the push may be left at contact, and glancing pushes are as frequent as their width. The lines of a share
+of them are drawn near the centroid instead (``Approach.central_share``), as people who collect pushes aim at the
+object. A **missing** push starts where a touching one may, heads anywhere, and never reaches the object.
 
 Only functions of ``exact`` and exact operations are used, so that every processor draws the same bytes.
 """
@@ -31,6 +31,7 @@ class Approach:
     miss_share: float = 0.1
     central_share: float = 0.0  # of the touching pushes
     central_half_width: float = 0.6  # of their lines' distances from the centroid, in sizes of the outline
+    gap_shapes: tuple[float, float] = (1.0, 1.0)  # beta distribution of the gaps over the length: touch, a length away
 
     def __post_init__(self) -> None:
         """Refuse shares that are none.
@@ -38,8 +39,12 @@ class Approach:
         Raises:
             ValueError: a share is outside 0..1, or every push misses.
         """
-        if not (0.0 <= self.miss_share < 1.0 and 0.0 <= self.central_share <= 1.0 and self.central_half_width > 0.0):
-            raise ValueError(f"shares are 0 to 1, the share that misses below 1, the half width positive: {self}")
+        shares = 0.0 <= self.miss_share < 1.0 and 0.0 <= self.central_share <= 1.0
+        if not (shares and self.central_half_width > 0.0 and min(self.gap_shapes) >= 1.0):
+            raise ValueError(
+                "shares are 0 to 1, the share that misses below 1, the half width positive, the shapes 1 or more: "
+                f"received {self}"
+            )
 
 
 def draw_pushers(
@@ -100,7 +105,9 @@ def _touching_starts(
     high = np.where(central, np.minimum(high, half_width_m), high)
     offset = low + rng.uniform(0.0, 1.0, len(angles)) * (high - low)
     far = outline.centroid_m + offset[:, None] * left - _FAR * outline.extent_m * ahead
-    gap = LEAST_GAP_M + rng.uniform(0.0, 1.0, len(angles)) * (lengths_m - LEAST_GAP_M)
+    even = approach.gap_shapes == (1.0, 1.0)
+    share = rng.uniform(0.0, 1.0, len(angles)) if even else rng.beta(*approach.gap_shapes, len(angles))
+    gap = LEAST_GAP_M + share * (lengths_m - LEAST_GAP_M)
     travel = travel_to_touch_m(outline, far, ahead, radius_m)
     return np.asarray(far + (travel - gap)[:, None] * ahead)
 

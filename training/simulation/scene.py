@@ -1,4 +1,4 @@
-"""Scene of a push as a MuJoCo model: the table, one object and the pusher.
+"""Scene of a push as a MuJoCo model: the table, one object and the pusher. ``push_object`` simulates pushes in it.
 
 The object rests on small feet on a rigid plate, so that weights shift the pressure under it. The pusher, a steel rod,
 is modelled as a sphere at mid-height of the object, because the walls are vertical and the height of a line contact is
@@ -6,20 +6,30 @@ undetermined. The pusher coasts with a very large mass: the object's reaction sl
 the push.
 """
 
+import copy
+from collections.abc import Callable
 from typing import Final
 
 import mujoco
 import numpy as np
+from mujoco import rollout
 
+from service.pushing.poses import PUSH_LENGTH_M
+from training.simulation import exact
 from training.simulation.solids import BODY_DENSITY_KG_M3, FOOT_RADIUS_M, HEIGHT_M, WEIGHT_RADIUS_M, Solid
-from training.simulation.surfaces import CONTACT_FRICTION, EVEN
+from training.simulation.surfaces import CONTACT_FRICTION, EVEN, Array, Conditions
 
 TIME_STEP_S: Final = 0.004  # costs 0.3 mm and 9 mrad (rms), see benchmarks/time_step.py
 PUSHER_RADIUS_M: Final = 0.00475
 PUSHER_MASS_KG: Final = 1e5
 STIFF: Final = (2 * TIME_STEP_S, 1.0)  # contact stiffness, the most that the step allows: less than 0.1 mm deep
 MIDDLE_M: Final = FOOT_RADIUS_M + HEIGHT_M / 2
+PUSH_DURATION_S: Final = 1.4  # of 50 mm
+SEGMENT_M: Final = 0.010  # length of a push after which friction is updated to the feet's new places on the plate
+_FREE, _SLIDES = 7, 2  # number of positions of the object's free joint, of the pusher's slides
 _WALLS: Final = 1  # collision bit of pusher and walls. Feet touch the table by declared pairs alone
+
+Arctangent = Callable[[Array, Array], Array]
 
 
 def scene(body: Solid) -> mujoco.MjSpec:
@@ -48,6 +58,50 @@ def scene(body: Solid) -> mujoco.MjSpec:
     _add_feet(spec, pushed, body)
     _add_pusher(spec)
     return spec
+
+
+def push_object(
+    body: Solid,
+    pushers: Array,
+    conditions: Conditions,
+    pool: rollout.Rollout,
+    threads: int,
+    time_step_s: float = TIME_STEP_S,
+    push_length_m: float = PUSH_LENGTH_M,
+    arctan2: Arctangent = exact.atan2,
+) -> Array:
+    """Simulate pushes of one object.
+
+    A length or time step other than the dataset's serves to validate the simulator. The pusher's speed stays the same.
+
+    Returns:
+        The object's true pose after each push, in the object frame before it, (n, 3): x_m, y_m, yaw_rad.
+    """
+    spec = scene(body)
+    spec.option.timestep = time_step_s
+    model = spec.compile()
+    models = [copy.copy(model) for _ in pushers]
+    rod = model.geom("pusher").id
+    for each, friction in zip(models, conditions.contact, strict=True):
+        each.geom_friction[rod, 0] = friction
+    state = _initial_states(model, pushers, conditions.world_poses)
+    feet = np.array(body.feet_m)
+    datas = [mujoco.MjData(model) for _ in range(max(1, threads))]
+    steps = round(PUSH_DURATION_S * push_length_m / PUSH_LENGTH_M / time_step_s)
+    for segment in np.array_split(np.arange(steps), round(push_length_m / SEGMENT_M)):
+        friction = conditions.table_friction(_placed(feet, _object_poses(state, arctan2)))
+        for each, of_feet in zip(models, friction, strict=True):
+            each.pair_friction[:, :2] = of_feet
+        state = pool.rollout(models, datas, state, nstep=len(segment))[0][:, -1]
+    return relative(_object_poses(state, arctan2), conditions.world_poses, arctan2)
+
+
+def relative(poses: Array, frames: Array, arctan2: Arctangent = exact.atan2) -> Array:
+    """Express poses (n, 3) in frames (n, 3), both given in one outer frame, with angles in [-pi, pi]."""
+    (cos, sin), (dx, dy) = exact.directions(frames[:, 2]).T, (poses[:, :2] - frames[:, :2]).T
+    angle = poses[:, 2] - frames[:, 2]
+    turn = arctan2(exact.sin(angle), exact.cos(angle))
+    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=1)
 
 
 def _add_walls(spec: mujoco.MjSpec, pushed: mujoco.MjsBody, body: Solid) -> None:
@@ -101,3 +155,35 @@ def _add_pusher(spec: mujoco.MjSpec) -> None:
         contype=0,
         conaffinity=_WALLS,
     )
+
+
+def _placed(points: Array, poses: Array) -> Array:
+    """Transform points (k, 2) of an object to each of the poses (n, 3): (n, k, 2)."""
+    cos, sin = exact.cos(poses[:, 2, None]), exact.sin(poses[:, 2, None])
+    x, y = points.T
+    return np.asarray(poses[:, None, :2] + np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1))
+
+
+def _initial_states(model: mujoco.MjModel, pushers: Array, world_poses: Array) -> Array:
+    """Return full physics states, (n, size): the object at rest, the pusher at its start and at full speed."""
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    rest = np.empty(mujoco.mj_stateSize(model, kind))
+    mujoco.mj_getState(model, mujoco.MjData(model), rest, kind)
+    state = np.tile(rest, (len(pushers), 1))
+    positions, velocities = 1, 1 + model.nq  # offsets, after the time
+    yaw, heading = world_poses[:, 2], world_poses[:, 2] + pushers[:, 2]
+    state[:, positions : positions + 2] = world_poses[:, :2]
+    state[:, positions + 3], state[:, positions + 6] = exact.cos(yaw / 2), exact.sin(yaw / 2)
+    starts = np.concatenate(
+        [_placed(start[None, :2], pose[None]) for start, pose in zip(pushers, world_poses, strict=True)]
+    )
+    state[:, positions + _FREE : positions + _FREE + _SLIDES] = starts[:, 0]
+    speed_m_s = PUSH_LENGTH_M / PUSH_DURATION_S
+    state[:, velocities + 6 : velocities + 8] = speed_m_s * exact.directions(heading)
+    return state
+
+
+def _object_poses(state: Array, arctan2: Arctangent) -> Array:
+    """Return the object's planar poses in the world, (n, 3), from full physics states."""
+    x, y, _, w, _, _, z = state[:, 1 : 1 + _FREE].T
+    return np.column_stack([x, y, 2.0 * arctan2(z, w)])

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from service.pushing.contexts import ObjectContext, Side
 from service.pushing.outlines import Outline
+from training.simulation import exact
 
 Polygon = npt.NDArray[np.float64]  # (corners, 2), convex, counter-clockwise, metres
 
@@ -72,7 +73,7 @@ def concave_side() -> list[Polygon]:
     half, bite = CONCAVE_BITE_HALF_WIDTH_M, CONCAVE_BITE_DEPTH_M
     radius = (half**2 + bite**2) / (2.0 * bite)
     angles = np.linspace(-math.asin(half / radius), math.asin(half / radius), CONCAVE_SLABS + 1)
-    cuts, depths = radius * np.sin(angles), outer - bite + radius * (1.0 - np.cos(angles))
+    cuts, depths = radius * exact.sin(angles), outer - bite + radius * (1.0 - exact.cos(angles))
     horn = [(-CORE_HALF_WIDTH_M, outer), *zip(cuts, depths, strict=True), (CORE_HALF_WIDTH_M, outer)]
     return [
         np.array([(inner, low), (x_low, low), (x_high, high), (inner, high)])
@@ -89,7 +90,7 @@ def triangular_side() -> list[Polygon]:
 def circular_side() -> list[Polygon]:
     """Return a half disc on the core's face."""
     angles = np.linspace(-math.pi / 2, math.pi / 2, ARC_CORNERS)
-    return [CIRCLE_RADIUS_M * np.stack([np.cos(angles), np.sin(angles)], axis=1) + (CORE_HALF_WIDTH_M, 0.0)]
+    return [CIRCLE_RADIUS_M * np.stack([exact.cos(angles), exact.sin(angles)], axis=1) + (CORE_HALF_WIDTH_M, 0.0)]
 
 
 def rectangular_side() -> list[Polygon]:
@@ -130,9 +131,20 @@ def outline(context: ObjectContext) -> Outline:
     for quarter_turns, side in enumerate(context.sides):
         points = np.unique(np.concatenate(SIDE_SHAPES[side.shape]()), axis=0)
         outer = points[points[:, 0] > CORE_HALF_WIDTH_M + _SEAM_M]
-        around = np.array([corner, *outer[np.argsort(outer[:, 1], kind="stable")]])  # every side widens with no y twice
+        around = np.array([corner, *outer[np.argsort(outer[:, 1], kind="stable")]])
         parts.append(around @ _quarter_turn(quarter_turns).T)
     return Outline.of(np.concatenate(parts))
+
+
+def centre_of_mass_m(context: ObjectContext) -> npt.NDArray[np.float64]:
+    """Compute the centre of mass (2,) of an object in its frame: of the body and the weights."""
+    body = outline(context)
+    mass_kg = body.area_m2 * HEIGHT_M * BODY_DENSITY_KG_M3
+    moment = mass_kg * body.centroid_m
+    for weight in solid(context).weights:
+        mass_kg += weight.mass_kg
+        moment = moment + weight.mass_kg * np.array([weight.x_m, weight.y_m])
+    return np.asarray(moment / mass_kg)
 
 
 def clearance_m(piece: Polygon, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -23,10 +23,9 @@ from training.fitting.augmentation import (
 from training.fitting.samples import Samples
 from training.omnipush.published import published_normalisation
 from training.omnipush.pushes import Pushes
-from training.simulation.dataset import push_object
 from training.simulation.drawing import top_down_view
 from training.simulation.plans import sample_pushers
-from training.simulation.scene import PUSHER_RADIUS_M
+from training.simulation.scene import PUSHER_RADIUS_M, push_object
 from training.simulation.solids import solid
 from training.simulation.surfaces import Array, even_conditions
 

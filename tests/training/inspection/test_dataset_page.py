@@ -24,12 +24,14 @@ def test_the_report_names_its_data_and_sets_it_beside_the_published(pushes: Push
     """The page has the source in its title, a row per quantity, and displacement and rotation by quantile."""
     page = report(pushes)
 
-    assert page.startswith("# simulated pushes (MuJoCo")
+    assert page.startswith("# simulated pushes (quasi-static, plan approach")
     assert pushes.digest in page
     assert "3 objects, 30 pushes" in page
     assert page.count("\n| pusher ") == 3
     assert page.count("\n| object ") == 3
     moved_mm = np.hypot(pushes.outcomes[..., 0], pushes.outcomes[..., 1]) * 1e3
+    assert "28.7 % of the recorded ones" in page
+    assert "| recorded | 1.8 | 7.8 | 16.5 | 27.4 | 36.4 |" in page
     (row,) = (line for line in page.splitlines() if line.startswith("| displacement"))
     cells = [float(cell) for cell in row.split("|")[2:-1]]
     assert cells[0] == pytest.approx(moved_mm.min(), abs=0.06)

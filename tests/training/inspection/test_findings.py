@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from tests.training.synthetic_omnipush import plausible_pushes
-from training.inspection.findings import DatasetFinding, ObjectPushes, Severity, odd_normalised, surface_findings
-from training.inspection.statistics import compare_statistics
+from training.inspection.findings import (
+    DatasetFinding,
+    ObjectPushes,
+    Severity,
+    odd_normalised,
+    odd_quantiles,
+    surface_findings,
+)
+from training.inspection.statistics import MotionQuantiles, compare_statistics, recorded_motion
 from training.omnipush.files import Array
 from training.omnipush.published import published_normalisation
 
@@ -119,9 +126,9 @@ def test_pi_in_single_precision_is_wrapped() -> None:
     assert findings(objects) == []
 
 
-@pytest.mark.parametrize(("share", "severity"), [(0.01, None), (0.1, WARNING), (0.6, ERROR)])
+@pytest.mark.parametrize(("share", "severity"), [(0.01, None), (0.29, None), (0.4, WARNING), (0.7, ERROR)])
 def test_pushes_without_contact_are_reported(share: float, severity: Severity | None) -> None:
-    """Pushes without contact are reported if they are more than two in a hundred."""
+    """Pushes without contact are reported if they are many more than the 29 % of the raw recordings."""
     still = round(share * 250)
 
     def stop(pushers: Array, outcomes: Array) -> tuple[Array, Array]:
@@ -231,3 +238,30 @@ def test_twins_that_disagree_are_reported(change: Callable[[Array], Array], seve
     (found,) = odd_normalised("here", {item.descriptor: (item, change(twin(item)))})
     assert (found.severity, found.code) == (severity, code)
     assert item.descriptor in found.message
+
+
+def test_quantiles_far_from_another_table_are_found() -> None:
+    """Compare each quantile, with a slack of half a millimetre and half a degree for small ones."""
+    here = MotionQuantiles(0.1, (1.0, 8.0, 17.0, 27.0, 50.0), (0.6, 3.6, 8.3, 14.6, 20.8))
+    there = MotionQuantiles(0.1, (1.4, 8.5, 17.0, 27.0, 36.4), (0.6, 3.6, 8.3, 14.6, 20.8))
+
+    (found,) = odd_quantiles("here", here, there, "Omnipush")
+    assert found.message.endswith("differ from those of Omnipush by over 15 %: 95 %: 50.0 instead of 36.4")
+
+
+def test_motion_unlike_the_recorded_one_is_a_warning_unless_units_are_wrong() -> None:
+    """A ring of starts moves every object by 12 mm and more: a warning names the quantiles, beside none for units."""
+    figures = compare_statistics(*plausible_pushes(500, 1), published_normalisation())
+    ring = MotionQuantiles(0.0, (12.0, 15.6, 19.0, 25.1, 38.0), (0.8, 4.0, 8.9, 14.1, 21.6))
+
+    (found,) = surface_findings("here", plausible_objects(), figures, ring)
+    assert (found.severity, found.code) == (WARNING, "quantiles")
+    assert "Omnipush's recordings by over 15 %: 5 %: 12.0 instead of 1.8, 25 %: 15.6 instead of 7.8" in found.message
+    assert surface_findings("here", plausible_objects(), figures, recorded_motion()) == []
+    millimetres = changed(lambda pushers, outcomes: (pushers * (1e3, 1e3, 1.0), outcomes * (1e3, 1e3, 1.0)))
+    figures = compare_statistics(
+        np.concatenate([item.pushers for item in millimetres]),
+        np.concatenate([item.outcomes for item in millimetres]),
+        published_normalisation(),
+    )
+    assert {each.code for each in surface_findings("here", millimetres, figures, ring)} == {"units"}

@@ -1,6 +1,7 @@
 """Starts and aims over the whole approach to an outline, against plain geometry."""
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -73,6 +74,15 @@ def test_every_push_has_its_own_length() -> None:
     assert np.mean(gaps / lengths_m) == pytest.approx(0.5, abs=0.05)
 
 
+def test_gaps_of_higher_shapes_are_seldom_at_the_ends() -> None:
+    """Shapes of 3 leave few pushes that start in touch, or that hardly reach the object."""
+    settings = Approach(0.0, gap_shapes=(3.0, 3.0))
+    pushers = draw_pushers(SQUARE, np.full(500, 0.05), RADIUS_M, np.random.default_rng(5), settings)
+    gaps = travel_to_touch_m(SQUARE, pushers[:, :2], directions(pushers[:, 2]), RADIUS_M)
+
+    assert np.mean((gaps < 0.005) | (gaps > 0.045)) < 0.04
+
+
 def test_lines_cover_the_whole_width_unless_they_are_central() -> None:
     """Distances of the lines from the centroid are even up to the edge and the tip, or within the central band."""
     lengths_m, offsets = np.full(2000, 0.05), {}
@@ -94,9 +104,16 @@ def test_the_same_seed_draws_the_same_bytes() -> None:
 
 
 @pytest.mark.parametrize(
-    "shares", [{"miss_share": 1.0}, {"miss_share": -0.1}, {"central_share": 1.5}, {"central_half_width": 0.0}]
+    "settings",
+    [
+        {"miss_share": 1.0},
+        {"miss_share": -0.1},
+        {"central_share": 1.5},
+        {"central_half_width": 0.0},
+        {"gap_shapes": (1.0, 0.5)},
+    ],
 )
-def test_shares_that_are_none_are_refused(shares: dict[str, float]) -> None:
+def test_shares_that_are_none_are_refused(settings: dict[str, Any]) -> None:
     """A share outside of 0 to 1, or nothing but misses, is an error that shows the settings."""
     with pytest.raises(ValueError, match="shares are 0 to 1"):
-        Approach(**shares)
+        Approach(**settings)

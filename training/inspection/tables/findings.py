@@ -13,7 +13,6 @@ import numpy.typing as npt
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
 from training.inspection.findings import DatasetFinding, Severity
-from training.inspection.statistics import QUANTILES, MotionQuantiles
 from training.inspection.tables.frames import END_INSIDE_M, PULL_M, SLACK, SLACK_M, START_INSIDE_M
 from training.inspection.tables.geometry import PushGeometry, Rows, rows_by_object
 from training.omnipush.object_identity import counted, shortened
@@ -31,9 +30,6 @@ FEWEST_PAIRS: Final = 10
 _PLACE_M: Final = 0.001  # starts within it are the same start
 _HEADING_RAD: Final = 0.02
 _SHOWN: Final = 5  # rows of a finding
-DIFFERENT: Final = 0.15  # of a quantile of another table
-DIFFERENT_MM: Final = 0.5
-DIFFERENT_DEG: Final = 0.5
 
 
 def odd_pushes(where: str, table: PushTable, geometry: PushGeometry) -> Iterator[DatasetFinding]:
@@ -171,22 +167,6 @@ def outline_key(outline: Outline) -> bytes:
 def _lowest(steps: list[tuple[int, ...]]) -> list[int]:
     """Return the places of the lowest step. A polygon of many equal corners needs no more than a few of them."""
     return [place for place, step in enumerate(steps) if step == min(steps)][:8]
-
-
-def odd_quantiles(where: str, found: MotionQuantiles, other: MotionQuantiles, name: str) -> Iterator[DatasetFinding]:
-    """Find quantiles of the motion that differ from those of another table."""
-    for quantity, here, there, slack, unit in (
-        ("distance", found.distance_mm, other.distance_mm, DIFFERENT_MM, "mm"),
-        ("turn", found.turn_deg, other.turn_deg, DIFFERENT_DEG, "degrees"),
-    ):
-        apart = [
-            f"{100 * level:.0f} %: {mine:.1f} instead of {theirs:.1f}"
-            for level, mine, theirs in zip(QUANTILES, here, there, strict=True)
-            if abs(mine - theirs) > max(slack, DIFFERENT * theirs)
-        ]
-        if apart:
-            text = f"quantiles of the {quantity} in {unit} differ from those of {name} by over 15 %: {', '.join(apart)}"
-            yield DatasetFinding(Severity.WARNING, "quantiles", where, text)
 
 
 def rows_of(mask: npt.NDArray[np.bool_]) -> str:

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from training.inspection.findings import DatasetFinding, Severity, odd_angles
+from training.inspection.findings import DatasetFinding, Severity, odd_angles, odd_quantiles
 from training.inspection.statistics import MotionQuantiles, motion_quantiles
 from training.inspection.tables.findings import (
     odd_motion,
     odd_objects,
     odd_pushes,
-    odd_quantiles,
     odd_repeats,
     odd_scatter,
 )

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from training.inspection.statistics import QUANTILES, MotionQuantiles
 from training.inspection.tables.inspection import TableInspection
-from training.inspection.text import counted_findings, finding_document, finding_lines
+from training.inspection.text import counted_findings, finding_document, finding_lines, motion_document, motion_lines
 
 
 def table_lines(found: TableInspection) -> Iterator[str]:
@@ -37,20 +36,6 @@ def table_lines(found: TableInspection) -> Iterator[str]:
     yield next_step(found)
 
 
-def motion_lines(motion: MotionQuantiles, other: tuple[str, MotionQuantiles] | None = None) -> Iterator[str]:
-    """Return the lines of a table of the motion, beside that of another dataset."""
-    yield f"{'':26}" + "".join(f"{100 * level:>7.0f} %" for level in QUANTILES) + "   did not move"
-    for name, each in (("", motion), *(() if other is None else (other,))):
-        label = f" {name[:20]}" if name else ""
-        yield (
-            f"{'distance (mm)' if not name else label:26}"
-            + _cells(each.distance_mm)
-            + f"{100 * each.still_share:>13.1f} %"
-        )
-    for name, each in (("", motion), *(() if other is None else (other,))):
-        yield f"{'turn (degrees)' if not name else f' {name[:20]}':26}" + _cells(each.turn_deg)
-
-
 def next_step(found: TableInspection) -> str:
     """Return the last line: the number of findings, and the next step."""
     count = counted_findings(found.findings)
@@ -76,27 +61,11 @@ def table_document(found: TableInspection) -> dict[str, Any]:
         "labels": list(table.labels),
         "not_read": list(table.ignored),
         "reaches_share": float(found.geometry.reaches.mean()),
-        "motion": _motion_document(found.motion),
-        "against": None if found.other is None else {"name": found.other[0], **_motion_document(found.other[1])},
+        "motion": motion_document(found.motion),
+        "against": None if found.other is None else {"name": found.other[0], **motion_document(found.other[1])},
         "findings": [finding_document(each) for each in found.findings],
         "next": next_step(found),
     }
-
-
-def _motion_document(motion: MotionQuantiles) -> dict[str, Any]:
-    def values(row: tuple[float, ...]) -> list[float | None]:
-        return [None if math.isnan(value) else value for value in row]
-
-    return {
-        "still_share": motion.still_share,
-        "quantiles": list(QUANTILES),
-        "distance_mm": values(motion.distance_mm),
-        "turn_deg": values(motion.turn_deg),
-    }
-
-
-def _cells(values: tuple[float, ...]) -> str:
-    return "".join(f"{value:>9.1f}" for value in values)
 
 
 def _span(values: Any) -> str:

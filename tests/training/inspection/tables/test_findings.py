@@ -10,8 +10,7 @@ import pytest
 from service.pushing.outlines import Outline
 from tests.training.tables.tables import WEDGE, pushed_table
 from training.inspection.findings import DatasetFinding, Severity
-from training.inspection.statistics import MotionQuantiles
-from training.inspection.tables.findings import odd_quantiles, outline_key, rows_of
+from training.inspection.tables.findings import outline_key, rows_of
 from training.inspection.tables.inspection import inspect_table
 from training.tables.push_table import PushTable
 
@@ -169,15 +168,6 @@ def test_objects_without_pushes_are_found(table: PushTable) -> None:
     assert codes_of(replace(table, objects=(*table.objects, replace(table.objects[0], name="spare")))) == [
         (WARNING, "objects-unused")
     ]
-
-
-def test_quantiles_far_from_another_table_are_found() -> None:
-    """Compare each quantile, with a slack of half a millimetre and half a degree for small ones."""
-    here = MotionQuantiles(0.1, (1.0, 8.0, 17.0, 27.0, 50.0), (0.6, 3.6, 8.3, 14.6, 20.8))
-    there = MotionQuantiles(0.1, (1.4, 8.5, 17.0, 27.0, 36.4), (0.6, 3.6, 8.3, 14.6, 20.8))
-
-    (found,) = odd_quantiles("here", here, there, "Omnipush")
-    assert found.message.endswith("differ from those of Omnipush by over 15 %: 95 %: 50.0 instead of 36.4")
 
 
 def test_rows_are_shown_from_one() -> None:
