@@ -11,10 +11,9 @@ from service.pushing.outlines import Outline
 from training.simulation import surfaces
 from training.simulation.approach import Approach, draw_pushers
 from training.simulation.bodies import RECORDED, Body, Conditions, body, even_conditions
-from training.simulation.dataset import push_object
 from training.simulation.pieces import convex_pieces
 from training.simulation.pushing import push_body, simulate_pushes
-from training.simulation.scene import PUSHER_RADIUS_M
+from training.simulation.scene import PUSHER_RADIUS_M, push_object
 from training.simulation.solids import Solid
 from training.simulation.surfaces import Array
 
