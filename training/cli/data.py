@@ -100,19 +100,34 @@ def _tables_only(path: Path, objects_file: Path | None, against: Path | None) ->
 
 @data.command("report", short_help="Write a page with statistics, histograms and a gallery of pushes.")
 @path_argument
-@option("--out", type=FOLDER, help="Folder of the page and its images. [default: PATH/report]")
-def report(path: Path, out: Path | None) -> None:
+@objects_option
+@against_option
+@option("--out", type=FOLDER, help="Folder of the page and its images. [default: report beside the pushes]")
+def report(path: Path, objects_file: Path | None, against: Path | None, out: Path | None) -> None:
     """Write report.md, histograms.png and pushes.png of the pushes at PATH.
 
-    The page has the statistics of the pushes beside the published ones of Omnipush, the quantiles of displacement and
-    rotation, histograms, and a gallery of pushes. The same pushes give the same files.
+    The page has statistics and quantiles of the motion, histograms of the pushes, and a gallery of single pushes. For a
+    table they stand beside another table's (--against), for a folder in Omnipush's format beside the published ones.
+    The same pushes give the same files.
     """
-    pushes = read_folder(path)
-    from training.inspection.dataset_page import write_report  # slow to import, as matplotlib is
+    out = out or (path if path.is_dir() else path.parent) / "report"
+    if is_table(path):
+        table = read_table(path, objects_file)
+        other = None if against is None else (against.name, read_table(against))
+        from training.inspection.tables.page import counted_table  # slow to import, as matplotlib is
+        from training.inspection.tables.page import write_report as write_table_report
 
-    page, *images = write_report(pushes, out or path / "report")
+        page, *images = write_table_report(table, out, other)
+        count = counted_table(table)
+    else:
+        _tables_only(path, objects_file, against)
+        pushes = read_folder(path)
+        from training.inspection.dataset_page import write_report  # slow to import, as matplotlib is
+
+        page, *images = write_report(pushes, out)
+        count = f"{len(pushes.descriptors)} objects, {pushes.count} pushes"
     names = " and ".join(image.name for image in images)
-    echo(f"{page}: {len(pushes.descriptors)} objects, {pushes.count} pushes, with {names}; next: read {page}")
+    echo(f"{page}: {count}, with {names}; next: read {page}")
 
 
 @data.command("export", short_help="Write a folder again, raw, normalised or both.")
