@@ -136,7 +136,8 @@ def same_starts(table: PushTable) -> DoubleArray:
 def odd_objects(where: str, table: PushTable) -> Iterator[DatasetFinding]:
     """Find objects with the same outline or the same pushes, objects without pushes, and too few to learn from."""
     groups = rows_by_object(table)
-    unused = [item.name for number, item in enumerate(table.objects) if number not in {each for each, _ in groups}]
+    used = {number for number, _ in groups}
+    unused = [item.name for number, item in enumerate(table.objects) if number not in used]
     if unused:
         text = f"no pushes of {counted(unused)} in the file of outlines; remove them, or check their names"
         yield DatasetFinding(Severity.WARNING, "objects-unused", where, text)
@@ -161,12 +162,27 @@ def outline_key(outline: Outline) -> bytes:
     after = np.roll(edges, -1, axis=0)
     turns = np.arctan2(edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0], (edges * after).sum(axis=1))
     steps = [tuple(step) for step in np.rint(np.column_stack([lengths * 1e4, turns * 1e2])).astype(int).tolist()]
-    return repr(min(steps[place:] + steps[:place] for place in _lowest(steps))).encode()
+    first = _least_rotation(steps)
+    return repr(steps[first:] + steps[:first]).encode()
 
 
-def _lowest(steps: list[tuple[int, ...]]) -> list[int]:
-    """Return the places of the lowest step. A polygon of many equal corners needs no more than a few of them."""
-    return [place for place, step in enumerate(steps) if step == min(steps)][:8]
+def _least_rotation(steps: list[tuple[int, ...]]) -> int:
+    """Return the place from which a cycle is first in order: two candidates, of which the later one gives way."""
+    count = len(steps)
+    first, second, same = 0, 1, 0
+    while second < count and first < count and same < count:
+        here, there = steps[(first + same) % count], steps[(second + same) % count]
+        if here == there:
+            same += 1
+            continue
+        if here > there:
+            first += same + 1
+        else:
+            second += same + 1
+        if first == second:
+            second += 1
+        same = 0
+    return min(first, second)
 
 
 def rows_of(mask: npt.NDArray[np.bool_]) -> str:

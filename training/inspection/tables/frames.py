@@ -29,6 +29,7 @@ WRONG: Final = 0.8
 BESIDE: Final = 0.6  # share beside the object likewise. Recorded pushes have 0.88.
 BETTER: Final = 0.08  # by which another frame must be better
 SAMPLE: Final = 4000  # pushes on which frames are tried
+SAMPLE_OBJECTS: Final = 200
 _FAR_OFF: Final = 15.0  # times the expected ratio of two lengths: no longer the same unit
 _TURN: Final = 2.0 * math.pi
 FEWEST: Final = 3  # pushes that fit another frame better
@@ -138,9 +139,11 @@ def odd_frames(where: str, table: PushTable, geometry: PushGeometry) -> Iterator
 
 
 def _sample(table: PushTable) -> PushTable:
-    """Return an even sample of the pushes."""
-    step = max(1, table.count // SAMPLE)
-    return table.select(np.arange(0, table.count, step)[:SAMPLE])
+    """Return an even sample of the pushes, of an even sample of the objects."""
+    used = np.unique(table.object_index)
+    chosen = used[:: max(1, -(-len(used) // SAMPLE_OBJECTS))]
+    rows = np.flatnonzero(np.isin(table.object_index, chosen))
+    return table.select(rows[:: max(1, -(-len(rows) // SAMPLE))])
 
 
 def _fit(table: PushTable) -> _Fit:
