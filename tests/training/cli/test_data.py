@@ -365,3 +365,28 @@ def test_options_of_tables_are_refused_for_other_folders(data_folder: Path) -> N
     result = cazsl_train("data", "check", data_folder, "--objects", data_folder / "outlines.csv")
     assert result.exit_code == 2
     assert "--objects is for tables" in result.stderr
+
+
+def test_the_documented_example_prints_as_documented(project_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The check of the cardboard box in docs/data.md prints the text there, and its report has the same digest."""
+    monkeypatch.chdir(project_root)
+    result = cazsl_train("data", "check", Path("docs/data/cardboard-box"))
+    documented = " ".join((project_root / "docs" / "data.md").read_text(encoding="utf-8").split())
+
+    assert result.exit_code == 0
+    assert " ".join(result.stdout.split()) in documented
+    digest = next(line for line in result.stdout.splitlines() if "sha256" in line).split()[-1]
+    assert digest in (project_root / "docs" / "data" / "cardboard-box" / "report" / "report.md").read_text()
+
+
+def test_a_report_of_a_table_stands_beside_another(tmp_path: Path) -> None:
+    """A report of a table is written into the folder report in it, beside another table if one is named."""
+    table, other = write_folder(tmp_path / "mine"), write_folder(tmp_path / "other")
+    result = cazsl_train("data", "report", table, "--against", other)
+
+    assert result.exit_code == 0
+    page = table / "report" / "report.md"
+    assert result.stdout.startswith(f"{page}: 1 push of 1 object, with histograms.png and pushes.png; next: read ")
+    assert "distance (mm), other" in page.read_text()
+    (other / "pushes.csv").write_text("")
+    assert "is empty" in sole_line(cazsl_train("data", "report", table, "--against", other))
