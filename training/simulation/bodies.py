@@ -24,6 +24,8 @@ EVEN_FEET: Final = 19  # at least so many in the grid under a body
 RIM_FEET: Final = 20
 FEWEST_FEET, MOST_FEET = 3, 6  # of a body on few feet
 _TRIES: Final = 40
+_FLAT: Final = 1e-12  # determinant of the second moments, in sizes to the fourth power
+_RIDGE: Final = 1e-9
 _BALANCED: Final = 1e-9  # of the size
 
 
@@ -69,6 +71,10 @@ class Conditions:
     """(n,): coefficient of friction of the pusher on the object."""
     misplaced: Array
     """(n, 3): the object's true pose before the push in the frame that the tracker sees: x_m, y_m, yaw_rad."""
+
+    def select(self, rows: slice) -> "Conditions":
+        """Return the conditions of some pushes."""
+        return Conditions(self.loads[:, rows], self.contact[rows], self.misplaced[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +176,9 @@ def balanced(feet_m: Array, spread: Array, centre_m: Array, size_m: float) -> Ar
         xx = (loads * arm[:, 0] ** 2).sum() - x * x
         yy = (loads * arm[:, 1] ** 2).sum() - y * y
         xy = (loads * arm[:, 0] * arm[:, 1]).sum() - x * y
+        if not xx * yy - xy * xy > _FLAT:  # feet in one line
+            xx, yy = xx + _RIDGE, yy + _RIDGE
         determinant = xx * yy - xy * xy
-        if not determinant > 1e-12:
-            return None
         step = np.array([(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant])
         tilt = tilt - step * min(1.0, 2.0 / max(abs(step[0]), abs(step[1]), 1e-300))
         if max(abs(tilt[0]), abs(tilt[1])) > 50.0:

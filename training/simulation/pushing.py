@@ -10,12 +10,10 @@ load over v (iteratively reweighted least squares, the majorisation of Weiszfeld
 form: it sticks, or it slides on the edge of its cone. A few iterations a step are enough, as motion changes little from
 step to step. In a concave corner the rod may touch two edges, whose forces are found in turns (Gauss and Seidel).
 
-The frame is the object's throughout: the feet stay, and the rod moves and turns around them. Only additions, products,
-divisions and square roots are used, and ``math`` for the last angle, so that every processor computes the same bytes.
-Arrays have pushes last.
+The frame is the object's throughout: the feet stay, and the rod moves and turns around them. Only sums, products, quotients,
+roots and ``exact`` are used, so that every processor computes the same bytes. Arrays have pushes last.
 """
 
-import math
 from typing import Final
 
 import numpy as np
@@ -24,7 +22,7 @@ import numpy.typing as npt
 from service.pushing.first_contact import first_contact
 from service.pushing.outlines import Outline
 from training.simulation.bodies import Body, Conditions, Physics, draw_conditions
-from training.simulation.exact import cos, directions, sin
+from training.simulation.exact import atan2, cos, directions, sin
 from training.simulation.surfaces import Array
 
 Rows = npt.NDArray[np.int64]
@@ -36,6 +34,7 @@ STEPS_A_RADIUS: Final = 3  # likewise, for the rod's radius
 ITERATIONS: Final = 2  # of each step
 _REST: Final = 0.02  # share of a step: a foot that moves less is held by less than its whole friction
 _CORNER: Final = 0.9  # cosine between the normals of two contacts that count as two
+_TOGETHER: Final = 1024  # pushes at a time: their arrays stay in the cache of a processor
 _SWEEPS: Final = 6  # over two contacts in turns
 _LEAST_M: Final = 1e-9
 
@@ -76,6 +75,10 @@ def push_body(
         The pose after each push, (n, 3): x_m, y_m, yaw_rad, in the frame of the outline before it.
     """
     radius_m = np.broadcast_to(np.asarray(pusher_radius_m, dtype=np.float64), len(pushers))
+    if len(pushers) > _TOGETHER:
+        parts = [slice(first, first + _TOGETHER) for first in range(0, len(pushers), _TOGETHER)]
+        drawn = [(pushers[part], radius_m[part], conditions.select(part)) for part in parts]
+        return np.concatenate([push_body(body, *part, step_m, iterations) for part in drawn])
     longest = np.minimum(min(STEP_M, body.outline.size_m / STEPS_A_SIZE), radius_m / STEPS_A_RADIUS)
     # pushes in the order of their steps, so that those that are still on come first
     seen = _placed(pushers, conditions.misplaced)
@@ -132,7 +135,7 @@ class _State:
 
     def poses(self, origin: Array) -> Array:
         """Return the poses of the frame whose origin was at minus the centre of mass, (n, 3)."""
-        yaw = [math.atan2(sin, cos) for cos, sin in self._turn.T.tolist()]
+        yaw = atan2(self._turn[1], self._turn[0])
         moved = self._centre + origin[:, None] - _rotated(np.repeat(origin[:, None], len(yaw), 1), *self._turn)
         return np.column_stack([*moved, yaw])
 
@@ -271,8 +274,7 @@ def _recorded(outcomes: Array, misplaced: Array) -> Array:
 
     The tracker errs by the same before and after a push, so the seen pose moves with the object.
     """
-    x, y, yaw = misplaced.T
-    # seen frame -> true frame -> moved -> back by the same offset, which turns with the object
+    x, y, yaw = misplaced.T  # seen frame -> true frame -> moved -> back by the same offset, turned with the object
     moved_x, moved_y = _rotated(outcomes[:, :2].T, cos(yaw), sin(yaw))
     turn = outcomes[:, 2]
     back_x, back_y = _rotated(np.stack([x, y]), cos(turn), sin(turn))

@@ -28,6 +28,7 @@ OUTLINES = {
         [(0, 0), (0.08, 0), (0.08, 0.06), (0.06, 0.06), (0.06, 0.02), (0.02, 0.02), (0.02, 0.06), (0, 0.06)]
     ),
     "thin slanting bar": Outline.of(np.array([(0.0, 0.0), (0.2, 0.0), (0.2, 0.002), (0.0, 0.002)]) @ TURN.T),
+    "needle": Outline.of([(0.0, 0.0), (0.3, 1e-5), (0.3, -1e-5)]),
     "512 corners": Outline.of(
         [(0.1 * math.cos(math.tau * k / 512), 0.06 * math.sin(math.tau * k / 512)) for k in range(512)]
     ),

@@ -32,7 +32,7 @@ RING_SHA256 = (
     "b6629a53d801b52420a45646a48ca32e585c865fb3d3cfed9467d0a03372c574",  # with AVX-512
     "db0f77cda7b655edf547c7f04721b47f907a06e7359e1425ac43137770ee6566",
 )
-APPROACH_SHA256 = "10ba912674a31e7e67f091d72ceb212ffea37c44d4b7d84f8bc46648e3fd858f"
+APPROACH_SHA256 = "57283bd1770b872ae67b39f7aaed381ca19faacf044e71246b8d731626164707"
 SIMULATE_A_LITTLE = """
 import sys, pathlib
 from training.simulation.dataset import Simulation, simulate_dataset

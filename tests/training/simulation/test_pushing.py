@@ -197,6 +197,7 @@ def test_a_push_does_not_depend_on_the_others() -> None:
 
     for row in (0, 4, 8):
         assert (push(pushers[row : row + 1]) == together[row]).all()
+    assert (push(np.tile(pushers, (300, 1)))[-9:] == together).all()
 
 
 def test_a_misplaced_object_is_seen_by_a_tracker_that_errs_alike_before_and_after() -> None:
