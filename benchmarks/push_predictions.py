@@ -83,8 +83,8 @@ def predicted_without_model(table: PushTable, wanted: Callable[[str], bool], dra
     if wanted(SIMULATION):
         notes = (
             f"{SIMULATION}: mean and scatter of {draws} draws of friction, pressure and tracker for every push. Its "
-            "constants, one set for all, were chosen by recorded pushes of seven steel shapes. On those it is no "
-            "blind test.",
+            "constants, one set for all, were chosen by recorded pushes of seven steel shapes (docs/results/scene). On "
+            "those it is no blind test.",
         )
         plates = {name for name, _ in RECORDED.plates} & set(table.surfaces)
         surface = "; surface" if plates else ""
