@@ -10,8 +10,8 @@ load over v (iteratively reweighted least squares, the majorisation of Weiszfeld
 form: it sticks, or it slides on the edge of its cone. A few iterations a step are enough, as motion changes little from
 step to step. In a concave corner the rod may touch two edges, whose forces are found in turns (Gauss and Seidel).
 
-The frame is the object's throughout: the feet stay, and the rod moves and turns around them. Only sums, products, quotients,
-roots and ``exact`` are used, so that every processor computes the same bytes. Arrays have pushes last.
+The frame is the object's throughout: the feet stay, and the rod moves and turns around them. Only sums, products,
+quotients, roots and ``exact`` are used, so that every processor computes the same bytes. Arrays have pushes last.
 """
 
 from typing import Final
