@@ -4,7 +4,8 @@
 
 FOLDER is a table of recorded pushes (docs/data.md). The constants of ``training.simulation.bodies.RECORDED`` are chosen
 on the pushes whose starts lie in every other sector of 3 degrees about an object, and reported on the rest, too. Errors
-are those of the scene without variation, and of the mean of a few draws. Scatter is that of pushes from the same start,
+are those of the scene without variation, as the tips were tracked and with all tips moved until they touch, and of the
+mean of a few draws. Scatter is that of pushes from the same start,
 on the same plate: recorded, and in the scene, where each push draws its own conditions.
 
 With --search, a coarse grid around the constants is tried: contact friction and pressure by the error on the chosen
@@ -61,6 +62,17 @@ def chosen_part(table: PushTable) -> Mask:
     return np.asarray(np.floor(np.degrees(np.arctan2(y, x)) / SECTOR_DEG) % 2 == 0)
 
 
+def touching(table: PushTable) -> PushTable:
+    """Return a table whose tips start in touch with the outline, at the nearest place."""
+    pushers = table.pushers.copy()
+    for number, item in enumerate(table.objects):
+        rows = table.object_index == number
+        nearest = item.outline.nearest(pushers[rows, :2])
+        gap = nearest.distance_m - table.pusher_radius_m[rows]
+        pushers[rows, :2] += gap[:, None] * nearest.normal
+    return replace(table, pushers=pushers)
+
+
 def spread(found: Repeats | None) -> tuple[float, ...]:
     """Return median and mean distances of repeats: median mm, degrees, mean mm, degrees."""
     if found is None:
@@ -76,7 +88,12 @@ def cell(found: Errors, rows: Mask | IndexArray) -> str:
 
 def error_table(table: PushTable, even: DoubleArray, drawn: DoubleArray) -> list[str]:
     """Return the errors of the scene and of the table's peers, per part, shape and surface."""
-    models = {"scene": even, f"mean of {len(drawn)} draws": drawn.mean(axis=0), **table.peers}
+    models = {
+        "scene": even,
+        "from touch": replay_even(touching(table)),
+        f"mean of {len(drawn)} draws": drawn.mean(axis=0),
+        **table.peers,
+    }
     found = {name: errors(table.outcomes, outcome) for name, outcome in models.items()}
     part = chosen_part(table)
     groups = {"all": np.full(len(part), True), "chosen on": part, "the rest": ~part}

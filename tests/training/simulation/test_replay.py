@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.errors import DataError
 from service.pushing.outlines import Outline
 from training.simulation.bodies import RECORDED
 from training.simulation.replay import replay, replay_even
@@ -65,6 +66,14 @@ def test_a_known_centre_of_mass_and_friction_are_used() -> None:
 
     assert abs(heavy[1, 2]) < 0.1 * abs(plain[1, 2])
     assert not np.allclose(slippery[1], plain[1], atol=1e-4)
+
+
+def test_a_centre_of_mass_outside_names_the_object() -> None:
+    """One line says which object, and what to do."""
+    outside = TableObject("box", BOX, centre_of_mass_m=(0.1, 0.0))
+    for way in (replay_even, lambda pushes: replay(pushes, 0, 1)):
+        with pytest.raises(DataError, match=r"object 'box' .* centre of mass lies outside of the outline; correct it"):
+            way(table(outside))
 
 
 def test_a_plate_spreads_the_weight_in_its_own_way() -> None:
