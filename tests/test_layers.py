@@ -96,7 +96,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.client": "httpx2 numpy orjson pydantic",
         "service.cli": "click pydantic pydantic_settings",
         "training.omnipush": "numpy tqdm",
-        "training.tables": "numpy pyarrow",
+        "training.tables": "numpy pyarrow tqdm",
         "training.shapes": "matplotlib numpy shapely tqdm",
         "training.simulation": "mujoco numpy tqdm",
         "training.networks": "torch",

@@ -12,7 +12,7 @@ import click
 from service.cli.command_line import ANY_PATH, FILE, FOLDER, argument, errors_as_one_line, option
 from service.cli.terminal import echo, print_json
 from training.inspection.inspection import inspect
-from training.inspection.statistics import MotionQuantiles, motion_quantiles
+from training.inspection.statistics import MotionQuantiles, motion_quantiles, recorded_motion
 from training.inspection.tables.inspection import inspect_table
 from training.inspection.tables.text import table_document, table_lines
 from training.inspection.text import inspection_document, inspection_lines
@@ -21,6 +21,7 @@ from training.omnipush.pushes import export_variants, read_folder
 from training.tables.files import is_table
 from training.tables.reading import read_table
 
+RECORDINGS: Final = "omnipush"
 VARIANTS: Final = {"raw": (Variant.RAW,), "normalised": (Variant.NORMALISED,), "both": tuple(Variant)}
 folder_argument = argument("folder", type=ANY_PATH)
 
@@ -33,7 +34,10 @@ objects_option = option(
     help="File of the outlines of a table. [default: objects.* or outlines.* beside the pushes]",
 )
 against_option = option(
-    "--against", type=ANY_PATH, help="Another table, whose quantiles of motion stand beside those of this one."
+    "--against",
+    type=ANY_PATH,
+    help="Other pushes, to stand beside those of a table: a table; for check also a folder in Omnipush's format, or "
+    f"the word {RECORDINGS} for the quantiles of its recordings.",
 )
 
 
@@ -87,8 +91,13 @@ def check(path: Path, objects_file: Path | None, against: Path | None, as_json: 
 
 
 def _other(against: Path | None) -> tuple[str, MotionQuantiles] | None:
-    """Return the name and the quantiles of another table."""
-    return None if against is None else (against.name, motion_quantiles(read_table(against).outcomes))
+    """Return the name and the quantiles of other pushes: a table, a folder in Omnipush's format, or its recordings."""
+    if against is None:
+        return None
+    if str(against) == RECORDINGS and not against.exists():
+        return "Omnipush's recordings", recorded_motion()
+    outcomes = read_table(against).outcomes if is_table(against) else read_folder(against).rows()[1]
+    return against.name, motion_quantiles(outcomes)
 
 
 def _tables_only(path: Path, objects_file: Path | None, against: Path | None) -> None:

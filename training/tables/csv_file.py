@@ -35,8 +35,11 @@ def csv_header(file: TableFile) -> Header:
     Raises:
         DataError: the file is no such CSV file.
     """
-    with file.path.open("rb") as opened:
-        head = opened.read(MAX_HEADER)
+    try:
+        with file.path.open("rb") as opened:
+            head = opened.read(MAX_HEADER)
+    except OSError as error:
+        raise file.fault(f"cannot be read ({error.strerror}); check its permissions") from error
     for mark, kind in _FOREIGN:
         if head.startswith(mark):
             raise file.fault(f"is {kind}, although it is named .csv; {_AS_CSV}")

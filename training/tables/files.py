@@ -4,6 +4,7 @@ A table is a folder with ``pushes.csv`` or ``pushes.parquet`` and ``objects.csv`
 ``outlines.*`` are read too. Files come from other people, so their kind and size are checked before they are opened.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -76,10 +77,13 @@ class Header:
 
 
 def is_table(path: Path) -> bool:
-    """Return whether a path is a table rather than a folder in Omnipush's format."""
-    if path.is_dir():
-        return any((path / f"{PUSHES}{suffix}").exists() for suffix in FORMATS)
-    return path.suffix.lower() in FORMATS
+    """Return whether a path is a table, or meant as one, rather than a folder in Omnipush's format."""
+    if not path.is_dir():
+        return path.suffix.lower() in FORMATS
+    if any((path / f"{PUSHES}{suffix}").exists() for suffix in FORMATS):
+        return True
+    names = list(path.iterdir())
+    return bool(_tables_in(names)) and not any(each.suffix == ".npy" or each.is_dir() for each in names)
 
 
 def find_files(path: Path, objects_file: Path | None = None) -> tuple[TableFile, TableFile]:
@@ -108,5 +112,14 @@ def _only(folder: Path, stems: tuple[str, ...], content: str) -> Path:
     if len(found) > 1:
         raise DataError(f"{folder} holds {' and '.join(found)}; keep one of them, so that it is clear which one counts")
     if not found:
-        raise DataError(f"{folder} holds no file of {content}; expected {' or '.join(names)} (see docs/data.md)")
+        others = _tables_in(folder.iterdir())
+        advice = f"; it holds {', '.join(others[:3])}: rename it, or name it itself" if others else ""
+        raise DataError(
+            f"{folder} holds no file of {content}; expected {' or '.join(names)}{advice} (see docs/data.md)"
+        )
     return folder / found[0]
+
+
+def _tables_in(names: Iterable[Path]) -> list[str]:
+    """Return the names of CSV and Parquet files."""
+    return sorted(each.name for each in names if each.suffix.lower() in FORMATS)

@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from tqdm import tqdm
 
 from service.errors import InvalidRequestError
 from service.pushing.outlines import Outline
@@ -41,7 +42,10 @@ def read_objects(file: TableFile) -> tuple[TableObject, ...]:
     starts = np.flatnonzero(np.diff(index, prepend=-1))
     ends = [*starts[1:].tolist(), columns.rows]
     objects: dict[int, TableObject] = {}
-    for start, end in zip(starts.tolist(), ends, strict=True):
+    spans = tqdm(
+        list(zip(starts.tolist(), ends, strict=True)), "reading outlines", disable=None, leave=False, delay=1.0
+    )
+    for start, end in spans:
         number = int(index[start])
         if number in objects:
             received = f"object {names[number]!r} again, after other objects"

@@ -390,3 +390,12 @@ def test_a_report_of_a_table_stands_beside_another(tmp_path: Path) -> None:
     assert "distance (mm), other" in page.read_text()
     (other / "pushes.csv").write_text("")
     assert "is empty" in sole_line(cazsl_train("data", "report", table, "--against", other))
+
+
+def test_a_table_is_checked_beside_other_pushes(data_folder: Path, tmp_path: Path) -> None:
+    """The quantiles of a table stand beside those of Omnipush's recordings, and of a folder in its format."""
+    table = write_folder(tmp_path / "mine")
+    for against, name in ((Path("omnipush"), "Omnipush's recordings"), (data_folder, data_folder.name)):
+        result = cazsl_train("data", "check", table, "--against", against, "--json")
+        assert result.exit_code == 0
+        assert json.loads(result.stdout)["against"]["name"] == name

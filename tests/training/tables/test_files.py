@@ -78,6 +78,17 @@ def test_a_table_is_a_folder_or_a_file_of_any_name(path: Path, tmp_path: Path) -
     assert is_table(path.parent)
     renamed = path.rename(path.with_name("monday.CSV"))
     assert is_table(renamed)
-    assert not is_table(path.parent)
     objects = (path.parent / "objects.csv").rename(tmp_path / "boxes.csv")
     assert read_table(renamed, objects).count == 1
+
+
+def test_a_folder_of_tables_of_other_names_says_how_to_name_them(path: Path) -> None:
+    """A folder with a table under another name is meant as one, and a folder of numpy files beside a table is not."""
+    path.rename(path.with_name("monday.csv"))
+    assert is_table(path.parent)
+    with pytest.raises(DataError, match=r"it holds monday\.csv, objects\.csv: rename it, or name it itself"):
+        find_files(path.parent)
+    (path.parent / "1a1a1a1a_X_3_not_norm.npy").touch()
+    assert not is_table(path.parent)
+    with pytest.raises(DataError, match="does not exist; name a folder with"):
+        find_files(path.parent / "nowhere")

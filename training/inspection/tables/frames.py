@@ -32,6 +32,7 @@ SAMPLE: Final = 4000  # pushes on which frames are tried
 SAMPLE_OBJECTS: Final = 200
 _FAR_OFF: Final = 15.0  # times the expected ratio of two lengths: no longer the same unit
 _TURN: Final = 2.0 * math.pi
+LONGEST_M: Final = 1.0  # a plausible push
 FEWEST: Final = 3  # pushes that fit another frame better
 Poses = tuple[DoubleArray, DoubleArray]
 Reading = Callable[[DoubleArray, DoubleArray], Poses]
@@ -67,6 +68,10 @@ def odd_units(where: str, table: PushTable) -> Iterator[DatasetFinding]:
                 f"{name} looks like degrees (up to {np.abs(angles).max():.4g}); expected radians: multiply by pi / 180"
             )
             units.append(DatasetFinding(Severity.ERROR, "units", where, text))
+    length_m = float(np.median(table.pushers[:, 3]))
+    if not units and length_m > LONGEST_M:
+        text = f"outlines and pushes look like centimetres (pushes of {length_m:.3g} m); expected metres: divide by 100"
+        units.append(DatasetFinding(Severity.ERROR, "units", where, text))
     yield from units
     if not units:
         yield from _odd_outcome_units(where, table, motion)

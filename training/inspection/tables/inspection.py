@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -17,6 +18,8 @@ from training.inspection.tables.findings import (
 from training.inspection.tables.frames import odd_frames, odd_units
 from training.inspection.tables.geometry import PushGeometry, push_geometry, rows_by_object
 from training.tables.push_table import PushTable
+
+ENOUGH_PUSHES: Final = 100  # fewer have no quantiles to compare
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,8 @@ def inspect_table(
         if fits:
             findings += [*odd_pushes(where, table, geometry), *odd_motion(where, table, geometry)]
             findings += odd_scatter(where, table)
-            findings += odd_quantiles(where, motion, other[1], other[0]) if other else ()
+            if other and table.count >= ENOUGH_PUSHES:
+                findings += odd_quantiles(where, motion, other[1], other[0])
     findings += [*odd_repeats(where, table), *odd_objects(where, table)]
     rows = (min(counts), float(np.median(counts)), max(counts))
     return TableInspection(path, table, rows, geometry, motion, other, tuple(findings))

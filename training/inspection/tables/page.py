@@ -1,5 +1,6 @@
 """Report page of a table: figures and quantiles, distributions and a gallery, beside another table's."""
 
+import warnings
 from pathlib import Path
 from typing import Final
 
@@ -38,10 +39,12 @@ def write_report(
     geometry = push_geometry(table, quiet)
     beside = None if other is None else (*other, push_geometry(other[1], quiet))
     replace_whole(files[0], report(table, geometry, other).encode())
-    # without dates and versions in the images, so that equal data give equal files
-    figure = distributions((table.source, table, geometry), beside)
-    figure.savefig(files[1], dpi=100, metadata={"Software": None})
-    gallery(table, seed).savefig(files[2], dpi=100, metadata={"Software": None})
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Glyph")  # of a script that the font lacks: boxes are drawn instead
+        # without dates and versions in the images, so that equal data give equal files
+        figure = distributions((table.source, table, geometry), beside)
+        figure.savefig(files[1], dpi=100, metadata={"Software": None})
+        gallery(table, seed).savefig(files[2], dpi=100, metadata={"Software": None})
     return files
 
 

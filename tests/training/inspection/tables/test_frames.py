@@ -91,6 +91,14 @@ def test_other_units_are_named(table: PushTable, change: Change, words: str) -> 
     assert "divide them by" in found[0] or "multiply by" in found[0]
 
 
+def test_small_objects_in_centimetres_are_named(table: PushTable) -> None:
+    """Name centimetres throughout, of an object so small that its outline passes for one in metres."""
+    outline = Outline.of(table.objects[0].outline.corners * 10.0)
+    objects = (replace(table.objects[0], outline=outline),)
+    (found,) = messages(replace(table, objects=objects, pushers=table.pushers * (10, 10, 1, 30)))
+    assert "outlines and pushes look like centimetres (pushes of 1.5 m)" in found
+
+
 def test_outcomes_in_the_world_are_named(table: PushTable) -> None:
     """Name poses after the push that are not in the object's frame before it."""
     (found,) = messages(replace(table, outcomes=table.outcomes + np.array([0.5, 0.2, 0.0])))

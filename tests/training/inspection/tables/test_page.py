@@ -52,3 +52,9 @@ def test_names_of_other_people_are_only_text(table: PushTable) -> None:
     assert "\x1b" not in page
     assert page.splitlines()[0] == r"# a \# title"
     assert "y" * 100 not in page
+
+
+def test_names_in_any_script_are_drawn(table: PushTable, tmp_path: Path) -> None:
+    """Draw a page of an object whose name the font lacks, or which looks like a formula, without a warning."""
+    named = replace(table, objects=(replace(table.objects[0], name="\u7bb1 $\\frac$"),), source="\u7bb1")
+    assert len(write_report(named, tmp_path, quiet=True)) == 3
