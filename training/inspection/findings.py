@@ -15,12 +15,14 @@ import numpy.typing as npt
 
 from training.inspection.statistics import QUANTILES, MotionQuantiles, QuantityStatistics, missed, recorded_motion
 from training.omnipush.files import Array
+from training.omnipush.layout import SurfaceKind
 from training.omnipush.object_identity import counted, group_by_object, quarter_turns
 from training.omnipush.published import published_normalisation
 
 PUBLISHED_ROWS: Final = 250
 ROWS_TOLERANCE: Final = 25
 STD_RATIO_ODD: Final = 1.25  # or its inverse
+STD_RATIO_ODD_ELSEWHERE: Final = 1.5  # on another surface than ABS, of which the published statistics are
 STD_RATIO_WRONG: Final = 2.0
 MEAN_SHIFT_ODD: Final = 0.25  # in published standard deviations
 MEAN_SHIFT_WRONG: Final = 1.0
@@ -153,16 +155,19 @@ def odd_units(where: str, figures: Sequence[QuantityStatistics]) -> Iterator[Dat
             yield DatasetFinding(Severity.ERROR, "units", where, text)
 
 
-def odd_statistics(where: str, figures: Iterable[QuantityStatistics], pushes: int) -> Iterator[DatasetFinding]:
-    """Find means and standard deviations far from the published ones."""
+def odd_statistics(
+    where: str, figures: Iterable[QuantityStatistics], pushes: int, kind: SurfaceKind = SurfaceKind.ABS
+) -> Iterator[DatasetFinding]:
+    """Find means and standard deviations far from the published ones, which are those on ABS."""
     if pushes < ENOUGH_PUSHES:
         text = f"{pushes} pushes are too few to compare their statistics with the published ones"
         yield DatasetFinding(Severity.WARNING, "statistics", where, text)
         return
+    odd = STD_RATIO_ODD if kind is SurfaceKind.ABS else STD_RATIO_ODD_ELSEWHERE
     for figure in figures:
         spread = max(figure.ratio, 1.0 / figure.ratio if figure.ratio else math.inf)
         shift = abs(figure.mean - figure.published_mean) / figure.published_std
-        if spread > STD_RATIO_ODD or shift > MEAN_SHIFT_ODD:
+        if spread > odd or shift > MEAN_SHIFT_ODD:
             wrong = spread > STD_RATIO_WRONG or shift > MEAN_SHIFT_WRONG
             text = (
                 f"{figure.quantity} has mean {figure.mean:.4g} and deviation {figure.std:.4g}; published are "
@@ -222,6 +227,7 @@ def surface_findings(
     objects: Sequence[ObjectPushes],
     figures: Sequence[QuantityStatistics],
     motion: MotionQuantiles | None = None,
+    kind: SurfaceKind = SurfaceKind.ABS,
 ) -> list[DatasetFinding]:
     """Check the pushes of one surface, and their motion beside Omnipush's recorded one, if it is of the same kind.
 
@@ -232,7 +238,11 @@ def surface_findings(
     units = list(odd_units(where, figures))
     return [
         *units,
-        *([] if units else [*odd_angles(where, pushers, outcomes), *odd_statistics(where, figures, len(pushers))]),
+        *(
+            []
+            if units
+            else [*odd_angles(where, pushers, outcomes), *odd_statistics(where, figures, len(pushers), kind)]
+        ),
         *odd_twins(where, objects),
         *odd_contact(where, objects),
         *([] if units or motion is None else odd_quantiles(where, motion, recorded_motion(), "Omnipush's recordings")),

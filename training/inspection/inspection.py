@@ -100,7 +100,7 @@ def inspect(folder: Path, quiet: bool = False) -> Inspection:
             report = _report(surface, listing, objects, set(views), _source(surface, findings))
             reports.append(report)
             findings += _odd_variants(surface, listing, objects)
-            findings += surface_findings(str(surface), objects, report.figures, report.motion)
+            findings += surface_findings(str(surface), objects, report.figures, report.motion, report.surface)
             findings += report.membership.findings(str(surface))
             findings += missing_views(str(surface), (item.descriptor for item in objects), views)
     findings += odd_views(views, quiet)

@@ -95,11 +95,15 @@ def push_over_the_approach(
     Returns:
         True pusher poses (count, 3) and true outcomes (count, 3).
     """
-    shape, physics = outline(context), bodies.RECORDED
-    body = bodies.body(shape, dict(physics.plates)[surface.name], rng, centre_of_mass_m(context))
-    pushers = draw_pushers(shape, np.full(count, PUSH_LENGTH_M), PUSHER_RADIUS_M, rng, approach)
-    conditions = bodies.draw_conditions(body, physics, count, rng)
+    body = _body(context, surface, rng)
+    pushers = draw_pushers(body.outline, np.full(count, PUSH_LENGTH_M), PUSHER_RADIUS_M, rng, approach)
+    conditions = bodies.draw_conditions(body, bodies.RECORDED, count, rng)
     return pushers[:, :3], push_body(body, pushers, PUSHER_RADIUS_M, conditions)
+
+
+def _body(context: ObjectContext, surface: Surface, rng: np.random.Generator) -> bodies.Body:
+    """Return an object of Omnipush with its weight spread as on the surface."""
+    return bodies.body(outline(context), dict(bodies.RECORDED.plates)[surface.name], rng, centre_of_mass_m(context))
 
 
 @contextmanager
@@ -126,15 +130,15 @@ def _ring_declaration(surface: Surface) -> dict[str, object]:
 
 
 def _approach_declaration(surface: Surface) -> dict[str, object]:
-    del surface  # its friction cancels in a quasi-static push
-    geometry = outline(_REFERENCE_OBJECT).corners.tobytes() + centre_of_mass_m(_REFERENCE_OBJECT).tobytes()
+    body = _body(_REFERENCE_OBJECT, surface, np.random.default_rng(0))
+    geometry = (body.outline.corners, body.centre_of_mass_m, body.feet_m, body.loads)
     return {
         "plan": "approach",
         "simulator": "quasi-static",
         "step_m": STEP_M,
         "physics": asdict(bodies.RECORDED),
         "approach": asdict(OMNIPUSH_APPROACH),
-        "geometry_sha256": hashlib.sha256(geometry).hexdigest(),
+        "geometry_sha256": hashlib.sha256(b"".join(part.tobytes() for part in geometry)).hexdigest(),
     }
 
 

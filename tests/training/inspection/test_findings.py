@@ -13,10 +13,12 @@ from training.inspection.findings import (
     Severity,
     odd_normalised,
     odd_quantiles,
+    odd_statistics,
     surface_findings,
 )
 from training.inspection.statistics import MotionQuantiles, compare_statistics, recorded_motion
 from training.omnipush.files import Array
+from training.omnipush.layout import SurfaceKind
 from training.omnipush.published import published_normalisation
 
 FOUR = ("1a1a1a1a", "1a2b3c4a", "2B3a3a4a", "3a3a4a4a")
@@ -91,6 +93,17 @@ def test_a_spread_unlike_the_published_one_is_reported(scale: float, severity: S
     found = codes_of(changed(lambda pushers, outcomes: (pushers * [scale, 1, 1], outcomes)))
 
     assert found == ([] if severity is None else [(severity, "statistics")])
+
+
+@pytest.mark.parametrize(("scale", "severity"), [(1.4, None), (0.7, None), (1.6, WARNING), (2.5, ERROR)])
+def test_a_spread_on_another_surface_may_differ_more(scale: float, severity: Severity | None) -> None:
+    """The published deviations are those on ABS: on plywood one is odd from a half on, and wrong from two on."""
+    objects = changed(lambda pushers, outcomes: (pushers, outcomes * (1.0, 1.0, scale)))
+    pushers, outcomes = (np.concatenate(rows) for rows in zip(*((o.pushers, o.outcomes) for o in objects), strict=True))
+    figures = compare_statistics(pushers, outcomes, published_normalisation())
+
+    found = [item.severity for item in odd_statistics("here", figures, len(pushers), SurfaceKind.PLYWOOD)]
+    assert found == ([] if severity is None else [severity])
 
 
 @pytest.mark.parametrize(("shift", "severity"), [(0.005, None), (0.03, WARNING), (0.08, ERROR)])

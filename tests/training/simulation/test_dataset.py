@@ -32,7 +32,7 @@ RING_SHA256 = (
     "b6629a53d801b52420a45646a48ca32e585c865fb3d3cfed9467d0a03372c574",  # with AVX-512
     "db0f77cda7b655edf547c7f04721b47f907a06e7359e1425ac43137770ee6566",
 )
-APPROACH_SHA256 = "57283bd1770b872ae67b39f7aaed381ca19faacf044e71246b8d731626164707"
+APPROACH_SHA256 = "a75d14ff84d85f5683678b2f7042515f02787db09ac7b9f93f18d243e23a41f9"
 SIMULATE_A_LITTLE = """
 import sys, pathlib
 from training.simulation.dataset import Simulation, simulate_dataset
