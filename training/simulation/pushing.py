@@ -31,6 +31,7 @@ Rows = npt.NDArray[np.int64]
 STEP_M: Final = 0.001
 STEPS_A_SIZE: Final = 30  # at least, for a travel as long as the object's size (root mean square radius)
 STEPS_A_RADIUS: Final = 3  # likewise, for the rod's radius
+MOST_STEPS: Final = 10_000  # of a push. A longer one has longer steps
 ITERATIONS: Final = 2  # of each step
 _REST: Final = 0.02  # share of a step: a foot that moves less is held by less than its whole friction
 _CORNER: Final = 0.9  # cosine between the normals of two contacts that count as two
@@ -83,7 +84,7 @@ def push_body(
     # pushes in the order of their steps, so that those that are still on come first
     seen = _placed(pushers, conditions.misplaced)
     place, heading, left = _approach(body.outline, seen, radius_m)
-    steps = np.ceil(left / (longest if step_m is None else step_m)).astype(np.int64)
+    steps = np.minimum(np.ceil(left / (longest if step_m is None else step_m)), MOST_STEPS).astype(np.int64)
     order = np.argsort(-steps, kind="stable")
     state = _State(body, place[:, order], heading[:, order], conditions, order, radius_m[order])
     travel = left[order] / np.maximum(steps[order], 1)
@@ -276,9 +277,8 @@ def _recorded(outcomes: Array, misplaced: Array) -> Array:
     """
     x, y, yaw = misplaced.T  # seen frame -> true frame -> moved -> back by the same offset, turned with the object
     moved_x, moved_y = _rotated(outcomes[:, :2].T, cos(yaw), sin(yaw))
-    turn = outcomes[:, 2]
-    back_x, back_y = _rotated(np.stack([x, y]), cos(turn), sin(turn))
-    return np.column_stack([x + moved_x - back_x, y + moved_y - back_y, turn])
+    back_x, back_y = _rotated(np.stack([x, y]), cos(outcomes[:, 2]), sin(outcomes[:, 2]))
+    return np.column_stack([x + moved_x - back_x, y + moved_y - back_y, outcomes[:, 2]])
 
 
 def _closing(touch: Array, step: Array) -> Array:

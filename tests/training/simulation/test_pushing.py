@@ -185,6 +185,14 @@ def test_a_rod_that_starts_inside_is_moved_out() -> None:
     assert inside == pytest.approx(touching, abs=1e-9)
 
 
+def test_a_push_of_a_kilometre_ends() -> None:
+    """Its steps are bounded. The rod has lost the object on the way, or still pushes it."""
+    (outcome,) = push([(LEFT_M, 0.001, 0.1, 1000.0)])
+
+    assert np.isfinite(outcome).all()
+    assert 0.0 < outcome[0] <= 1001.0
+
+
 def test_no_pushes_are_no_error() -> None:
     """An empty batch has an empty answer."""
     assert push(np.empty((0, 4))).shape == (0, 3)
