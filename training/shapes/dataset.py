@@ -28,7 +28,7 @@ from training.shapes.objects import DrawnObject, draw_object
 from training.simulation.approach import Approach, draw_pushers
 from training.simulation.bodies import RECORDED, Body, Physics, draw_body
 from training.simulation.exact import Array, exp
-from training.simulation.pushing import simulate_pushes
+from training.simulation.pushing import ITERATIONS, STEP_M, STEPS_A_RADIUS, STEPS_A_SIZE, simulate_pushes
 from training.tables.files import MAX_PUSHES, is_table
 from training.tables.push_table import PushTable, TableObject, TextColumn
 from training.tables.writing import write_table
@@ -84,6 +84,12 @@ class ShapePlan:
             "push_lengths_m": list(PUSH_LENGTHS_M),
             "approach": asdict(self.approach),
             "physics": {**asdict(self.physics), "contact": "that of the object"},
+            "steps": {
+                "longest_m": STEP_M,
+                "a_size": STEPS_A_SIZE,
+                "a_radius": STEPS_A_RADIUS,
+                "iterations": ITERATIONS,
+            },
             "geos": shapely.geos_version_string,
         }
 
