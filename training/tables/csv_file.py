@@ -5,6 +5,7 @@ Other files that spreadsheets write are refused by name, because to guess a sepa
 
 import codecs
 import csv
+import re
 from collections.abc import Iterator
 from typing import IO, Final
 
@@ -17,6 +18,7 @@ from training.tables.files import Header, TableFile
 MAX_HEADER: Final = 1 << 16  # bytes
 BLOCK_BYTES: Final = 4 << 20  # rows that are parsed at a time. No row may be longer.
 _AS_CSV: Final = "export it as CSV in UTF-8, with commas between the columns"
+_UNEVEN: Final = re.compile(r"Row #(\d+): Expected (\d+) columns, got (\d+): (.*)", re.DOTALL)
 _FOREIGN: Final = (  # first bytes, and the kind of file that begins so
     (codecs.BOM_UTF32_LE, "text in UTF-32"),
     (codecs.BOM_UTF32_BE, "text in UTF-32"),
@@ -71,26 +73,20 @@ def csv_batches(file: TableFile, names: tuple[str, ...], wanted: tuple[str, ...]
     Raises:
         DataError: a row has another number of cells than the header, is too long, or is not UTF-8.
     """
-    uneven: list[pc.InvalidRow] = []
-
-    def refuse(row: pc.InvalidRow) -> str:
-        uneven.append(row)
-        return "error"
-
     try:
         with file.path.open("rb") as opened:
-            yield from _open(opened, names, wanted, refuse)
+            yield from _open(opened, names, wanted)
     except (OSError, pa.ArrowException) as error:
-        raise _fault(file, len(names), uneven, error) from error
+        raise _fault(file, error) from error
 
 
-def _open(opened: IO[bytes], names: tuple[str, ...], wanted: tuple[str, ...], refuse: object) -> pc.CSVStreamingReader:
+def _open(opened: IO[bytes], names: tuple[str, ...], wanted: tuple[str, ...]) -> pc.CSVStreamingReader:
     return pc.open_csv(
         opened,
         read_options=pc.ReadOptions(
             use_threads=False, block_size=BLOCK_BYTES, column_names=[str(n) for n in range(len(names))], skip_rows=1
         ),
-        parse_options=pc.ParseOptions(ignore_empty_lines=False, invalid_row_handler=refuse),
+        parse_options=pc.ParseOptions(ignore_empty_lines=False),
         convert_options=pc.ConvertOptions(
             include_columns=[str(names.index(name)) for name in wanted],
             column_types={str(number): pa.string() for number in range(len(names))},
@@ -100,14 +96,16 @@ def _open(opened: IO[bytes], names: tuple[str, ...], wanted: tuple[str, ...], re
     )
 
 
-def _fault(file: TableFile, columns: int, uneven: list[pc.InvalidRow], error: Exception) -> DataError:
+def _fault(file: TableFile, error: Exception) -> DataError:
     """Return the error about a file that the library refused."""
+    uneven = _UNEVEN.search(str(error))
     if uneven:
-        row = uneven[0]
-        cells = f"line {row.number} has {row.actual_columns} {'cell' if row.actual_columns == 1 else 'cells'}"
-        is_open = row.text.count('"') % 2
-        hint = "it has a quote that is not closed" if is_open else "a decimal comma makes two cells of one number"
-        return file.fault(f"{cells}, but the header has {columns} columns; correct that line ({hint})")
+        line, columns, cells, text = uneven.groups()
+        hint = "it has a quote that is not closed" if text.count('"') % 2 else "a decimal comma makes two cells of one"
+        return file.fault(
+            f"line {line} has {cells} {'cell' if cells == '1' else 'cells'}, but the header has {columns} columns; "
+            f"correct that line ({hint})"
+        )
     reason = str(error).splitlines()[0]
     if "UTF8" in reason:
         return file.fault(f"line {_undecodable_line(file)} is not text in UTF-8; {_AS_CSV}")

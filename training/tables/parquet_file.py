@@ -53,7 +53,9 @@ def parquet_batches(file: TableFile, wanted: tuple[str, ...]) -> Iterator[pa.Rec
         texts = [name for name in wanted if _is_text(schema.field(name).type)]
         opened = pq.ParquetFile(file.path, read_dictionary=texts, buffer_size=_BUFFER_BYTES)
         _check_pages(file, opened, wanted)
-        yield from opened.iter_batches(BATCH_ROWS, columns=list(wanted), use_threads=False)
+        for batch in opened.iter_batches(BATCH_ROWS, columns=list(wanted), use_threads=False):
+            batch.validate(full=True)  # texts and indices of a damaged file would be read outside of their memory
+            yield batch
     except (OSError, UnicodeError, pa.ArrowException) as error:
         raise _unreadable(file, error) from error
 

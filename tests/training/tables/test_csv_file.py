@@ -52,6 +52,7 @@ def test_other_writers_of_the_same_table_are_read(path: Path, change: Callable[[
         (lambda text: b"PK\x03\x04" + text.encode(), "is a workbook or an archive, although it is named .csv"),
         (lambda text: b"\n\n" + text.encode(), "has an empty first line"),
         (lambda text: text.replace("-0.06", "-0,06").encode(), "line 2 has 9 cells, but the header has 8 columns"),
+        (lambda text: text.encode() + b"box,1,\xff\n", "line 3 has 3 cells, but the header has 8 columns"),
         (lambda text: (text + '"box,1\n').encode(), "line 3 has 1 cell, but the header has 8 columns"),
         (lambda text: text.encode() + b"box," + b"1" * (2 * BLOCK_BYTES), "has a row of more than 4 MiB"),
     ],
