@@ -96,6 +96,6 @@ def _object_index(
         row = int(found.argmin())
         name = column.values[column.index[row]]
         near = difflib.get_close_matches(name, places, n=1)
-        advice = f"{near[0]!r} perhaps" if near else "add its outline there"
+        advice = f"{near[0]!r} perhaps" if near else f"{objects[0].name!r} is one; or add the outline there"
         raise file.fault_at(row, key, f"{name!r}, which has no outline in {corners.path}", f"a name in it: {advice}")
     return found
