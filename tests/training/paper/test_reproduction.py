@@ -127,7 +127,7 @@ def test_known_figures_of_other_data_are_refused(small: Experiment, viewed_pushe
     (first, *_) = reproduce(small, reader, tmp_path / "then", seeds=1, epochs=1, quiet=True)
     other = replace(first, origin={"source": "elsewhere", "sha256": "1" * 64})
 
-    with pytest.raises(DataError, match=r"seed 0: the known figures are of .*elsewhere.*; give the data"):
+    with pytest.raises(DataError, match=r"seed 0: the known figures are of .*elsewhere.*; give the data .*--plan ring"):
         reproduce(small, reader, tmp_path / "now", seeds=1, epochs=1, quiet=True, known={(first.cell, 0): other})
 
     assert not (tmp_path / "now").exists()
