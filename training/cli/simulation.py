@@ -2,6 +2,7 @@
 
 import hashlib
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +19,7 @@ from training.omnipush.pushes import read_folder
 from training.omnipush.views import VIEWS_FOLDER, read_views
 from training.simulation.dataset import Simulation, simulate_dataset
 from training.simulation.drawing import write_views
-from training.simulation.plans import DEFAULT_PLAN, PLANS
+from training.simulation.plans import APPROACH, DEFAULT_PLAN, OMNIPUSH_APPROACH, PLANS, approach_plan
 from training.simulation.surfaces import ABS, SURFACES
 
 DEFAULT_VIEWS: Final = SIMULATED / VIEWS_FOLDER
@@ -48,12 +49,24 @@ def simulate() -> None:
     show_default=True,
     help="; ".join(f"{plan.name}: {plan.summary}" for plan in PLANS.values()) + ".",
 )
+@option(
+    "--miss-share",
+    type=click.FloatRange(0.0, 0.99),
+    help=f"Share of the pushes that never touch the object, with the plan approach. "
+    f"[default: {OMNIPUSH_APPROACH.miss_share}]",
+)
 @option("--surface", type=click.Choice([*SURFACES, "all"]), default="all", show_default=True, help="Surface.")
 @option("--pushes", type=click.IntRange(1, 100_000), default=250, show_default=True, help="Pushes per object.")
 @option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of all random numbers.")
 @option("--threads", type=click.IntRange(1, 1024), help="Threads. Files do not depend on it. [default: all cores]")
 def simulate_omnipush(
-    folder: Path | None, plan_name: str, surface: str, pushes: int, seed: int, threads: int | None
+    folder: Path | None,
+    plan_name: str,
+    miss_share: float | None,
+    surface: str,
+    pushes: int,
+    seed: int,
+    threads: int | None,
 ) -> None:
     """Simulate the default datasets in Omnipush's file format: FOLDER/abs, FOLDER/plywood, FOLDER/top-down_view.
 
@@ -61,6 +74,10 @@ def simulate_omnipush(
     are kept. The default FOLDER is the plan's: data/approach, or data/simulated for the ring.
     """
     plan = PLANS[plan_name]
+    if miss_share is not None:
+        if plan is not APPROACH:
+            raise click.UsageError(f"--miss-share is for the plan approach. The plan {plan.name} has its own starts.")
+        plan = approach_plan(replace(OMNIPUSH_APPROACH, miss_share=miss_share))
     folder = folder or plan.folder
     for name in SURFACES if surface == "all" else (surface,):
         objects = omnipush_descriptors() if name == ABS.name else different_surfaces().test

@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -107,9 +108,9 @@ def _body(context: ObjectContext, surface: Surface, rng: np.random.Generator) ->
 
 
 @contextmanager
-def _over_the_approach(surface: Surface, seed: int, threads: int) -> Iterator[Pushes]:
+def _over_the_approach(approach: Approach, surface: Surface, seed: int, threads: int) -> Iterator[Pushes]:
     del seed, threads  # objects have streams of their own, and their pushes are simulated side by side
-    yield lambda context, count, rng: push_over_the_approach(context, surface, count, rng, OMNIPUSH_APPROACH)
+    yield lambda context, count, rng: push_over_the_approach(context, surface, count, rng, approach)
 
 
 def _ring_declaration(surface: Surface) -> dict[str, object]:
@@ -129,7 +130,7 @@ def _ring_declaration(surface: Surface) -> dict[str, object]:
     }
 
 
-def _approach_declaration(surface: Surface) -> dict[str, object]:
+def _approach_declaration(approach: Approach, surface: Surface) -> dict[str, object]:
     body = _body(_REFERENCE_OBJECT, surface, np.random.default_rng(0))
     geometry = (body.outline.corners, body.centre_of_mass_m, body.feet_m, body.loads)
     return {
@@ -137,9 +138,22 @@ def _approach_declaration(surface: Surface) -> dict[str, object]:
         "simulator": "quasi-static",
         "step_m": STEP_M,
         "physics": asdict(bodies.RECORDED),
-        "approach": asdict(OMNIPUSH_APPROACH),
+        "approach": asdict(approach),
         "geometry_sha256": hashlib.sha256(b"".join(part.tobytes() for part in geometry)).hexdigest(),
     }
+
+
+def approach_plan(approach: Approach) -> Plan:
+    """Return the plan ``approach`` with some starts and aims."""
+    return Plan(
+        "approach",
+        "quasi-static, starts between touch and 50 mm before it, glancing and missing pushes, outcomes as Omnipush's",
+        SIMULATED,
+        "quasi-static, plan approach",
+        partial(_over_the_approach, approach),
+        partial(_approach_declaration, approach),
+        tracker_std=bodies.RECORDED.tracker_std,
+    )
 
 
 RING: Final = Plan(
@@ -153,14 +167,6 @@ RING: Final = Plan(
     tracker_std=(0.00017, 0.00017, 0.0029),
     arctan2=np.arctan2,  # whose last bits depend on the processor, as those of the published data
 )
-APPROACH: Final = Plan(
-    "approach",
-    "quasi-static, starts between touch and 50 mm before it, glancing and missing pushes, outcomes as Omnipush's",
-    SIMULATED,
-    "quasi-static, plan approach",
-    _over_the_approach,
-    _approach_declaration,
-    tracker_std=bodies.RECORDED.tracker_std,
-)
+APPROACH: Final = approach_plan(OMNIPUSH_APPROACH)
 PLANS: Final = {plan.name: plan for plan in (APPROACH, RING)}
 DEFAULT_PLAN: Final = APPROACH

@@ -72,6 +72,20 @@ def test_simulate_names_the_plan_in_the_source(tmp_path: Path) -> None:
     assert "plan approach, PLYWOOD, seed 0)" in approach.stdout
 
 
+def test_simulate_has_the_share_of_misses_as_a_setting(tmp_path: Path) -> None:
+    """With half of the pushes missing, half of them and a few more leave the object, and the folder declares it."""
+    options = ["--surface", "plywood", "--pushes", "20", "--miss-share", "0.5"]
+    result = cazsl_train("simulate", tmp_path / "data", *options)
+
+    found = re.search(r"([\d.]+) % missed the object", result.stdout)
+    assert found is not None
+    assert 50.0 <= float(found[1]) < 62.0
+    assert '"miss_share": 0.5' in (tmp_path / "data" / "plywood" / "dataset.json").read_text()
+    refused = cazsl_train("simulate", tmp_path / "ring", *options, "--plan", "ring")
+    assert refused.exit_code == 2
+    assert "--miss-share is for the plan approach" in refused.stderr
+
+
 def test_simulate_names_the_plans_that_there_are(tmp_path: Path) -> None:
     """An unknown plan is a usage error that lists the known ones."""
     result = cazsl_train("simulate", tmp_path, "--plan", "circle")
