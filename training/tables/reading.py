@@ -1,12 +1,15 @@
 """Reading of a table of pushes from CSV or Parquet files."""
 
 import difflib
+import math
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from service.pushing.poses import DoubleArray, wrap_angles
 from training.omnipush.declaration import read_declared
 from training.tables.columns import Columns, Wanted, groups_of, read_columns, read_header, require
 from training.tables.files import TableFile, find_files
@@ -30,10 +33,11 @@ UNKNOWN_SOURCE: Final = "pushes of undeclared origin"
 MAX_SOURCE: Final = 200  # characters
 MAX_PEERS: Final = 8
 MAX_LABEL_COLUMNS: Final = 16
+WRAPPED_RAD: Final = 4.0 * math.pi  # two turns: larger angles may be degrees, and are left for the check to find
 
 
 def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
-    """Read a table of pushes.
+    """Read a table of pushes. Angles of up to two turns are wrapped to (-pi, pi].
 
     Args:
         path: a folder with ``pushes.csv`` or ``pushes.parquet``, or such a file of any name.
@@ -53,6 +57,7 @@ def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
     radius, surface = ((name,) if name in header.plain else () for name in (RADIUS, SURFACE))
     taken = {key, *PUSHER, *OUTCOME, *predictions, *radius, *surface}
     others = tuple(name for name in header.names if name and name not in taken)
+    _check_misspelt(pushes, others)
     labels = tuple(name for name in others if name in header.plain)[:MAX_LABEL_COLUMNS]
     columns = read_columns(
         pushes, header, Wanted((*PUSHER, *OUTCOME, *radius, *predictions), (), (key, *surface), labels)
@@ -63,8 +68,8 @@ def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
     table = PushTable(
         objects=objects,
         object_index=_object_index(pushes, corners, columns.texts[key], objects, key),
-        pushers=np.column_stack([numbers[name] for name in PUSHER]),
-        outcomes=np.column_stack([numbers[name] for name in OUTCOME]),
+        pushers=_poses(numbers[name] for name in PUSHER),
+        outcomes=_poses(numbers[name] for name in OUTCOME),
         pusher_radius_m=numbers[RADIUS] if radius else np.full(columns.rows, DEFAULT_PUSHER_RADIUS_M),
         surfaces=surfaces.values,
         surface_index=surfaces.index,
@@ -75,6 +80,22 @@ def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
         ignored=(*(name for name in others if name not in labels), *columns.dropped),
     )
     return replace(table, digest=content_digest(table))
+
+
+def _poses(columns: Iterable[DoubleArray]) -> DoubleArray:
+    """Return columns side by side, with the angles, the third, wrapped."""
+    found = np.column_stack(list(columns))
+    found[:, 2] = np.where(np.abs(found[:, 2]) <= WRAPPED_RAD, wrap_angles(found[:, 2]), found[:, 2])
+    return found
+
+
+def _check_misspelt(file: TableFile, names: tuple[str, ...]) -> None:
+    """Refuse a column that means an optional one by another name: without it, its default would be taken."""
+    for name in names:
+        folded = name.lower().strip()
+        for optional, word in ((RADIUS, "radius"), (SURFACE, SURFACE)):
+            if word == folded or (word == "radius" and word in folded):
+                raise file.fault(f"has a column {name!r}, and none called {optional}; rename it to {optional}")
 
 
 def _check_positive(file: TableFile, columns: Columns, names: tuple[str, ...]) -> None:

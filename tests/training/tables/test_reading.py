@@ -21,6 +21,24 @@ def test_a_table_is_read_as_it_is_written(tmp_path: Path) -> None:
     assert table.surfaces == ("unstated",)
 
 
+@pytest.mark.parametrize(("angle", "read"), [(6.0, 6.0 - 2.0 * np.pi), (-3.5, 2.0 * np.pi - 3.5), (90.0, 90.0)])
+def test_angles_are_wrapped_unless_they_may_be_degrees(tmp_path: Path, angle: float, read: float) -> None:
+    """Wrap an angle of up to two turns, and leave a larger one for the check to find."""
+    table = read_table(write_folder(tmp_path, [{**PUSH, "push_angle_rad": angle, "object_yaw_rad": angle}]))
+    assert table.pushers[0, 2] == pytest.approx(read)
+    assert table.outcomes[0, 2] == pytest.approx(read)
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("pusher_radius_mm", "pusher_radius_m"), ("tip_radius", "pusher_radius_m"), ("Surface", "surface")],
+)
+def test_another_name_of_an_optional_column_is_refused(tmp_path: Path, name: str, meant: str) -> None:
+    """Name the column to rename, because the default would be taken in silence."""
+    folder = write_folder(tmp_path, [{**PUSH, name: 6}])
+    assert fault_of(folder).endswith(f"has a column {name!r}, and none called {meant}; rename it to {meant}")
+
+
 def test_the_recorded_pushes_layout_is_read_unchanged(tmp_path: Path) -> None:
     """Read the columns shape and surface, a peer's predictions, another column, and outlines.csv."""
     push = {"surface": "abs", "shape": "box", "speed_mm_s": 10, **PUSH}

@@ -31,7 +31,7 @@ BETTER: Final = 0.08  # by which another frame must be better
 SAMPLE: Final = 4000  # pushes on which frames are tried
 SAMPLE_OBJECTS: Final = 200
 _FAR_OFF: Final = 15.0  # times the expected ratio of two lengths: no longer the same unit
-_TURN: Final = 2.0 * math.pi
+_TURNS: Final = 4.0 * math.pi  # angles beyond are degrees
 LONGEST_M: Final = 1.0  # a plausible push
 FEWEST: Final = 3  # pushes that fit another frame better
 Poses = tuple[DoubleArray, DoubleArray]
@@ -63,7 +63,7 @@ def odd_units(where: str, table: PushTable) -> Iterator[DatasetFinding]:
         if len(ratios) and np.median(ratios) > _FAR_OFF * usual
     ]
     for name, angles in (("push_angle_rad", table.pushers[:, 2]), ("object_yaw_rad", table.outcomes[:, 2])):
-        if np.mean(np.abs(angles) > _TURN) > 0.01:
+        if np.mean(np.abs(angles) > _TURNS) > 0.01:
             text = (
                 f"{name} looks like degrees (up to {np.abs(angles).max():.4g}); expected radians: multiply by pi / 180"
             )
