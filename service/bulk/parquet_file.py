@@ -16,7 +16,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from service.bulk.chunk import CHUNK_ROWS, CONTEXT_COLUMNS, POSE_COLUMNS, PREDICTED_COLUMNS, Chunk
-from service.bulk.parquet_pages import read_pages
+from service.bulk.parquet_pages import read_chunks, read_pages
 from service.errors import DataError
 from service.files import check_regular
 from service.model.manifest import Manifest
@@ -124,11 +124,9 @@ class PushFile:
         """
         metadata = self._file.metadata
         largest, densest = [0] * metadata.num_columns, [0.0] * metadata.num_columns
-        for group in range(metadata.num_row_groups):
-            for column in range(metadata.num_columns):
-                chunk = metadata.row_group(group).column(column)
-                start = min(filter(None, (chunk.dictionary_page_offset, chunk.data_page_offset)), default=0)
-                for page in read_pages(self.path, start, chunk.total_compressed_size):
+        for chunks in read_chunks(self.path):
+            for column, chunk in enumerate(chunks[: metadata.num_columns]):
+                for page in read_pages(self.path, chunk.start, chunk.size):
                     largest[column] = max(largest[column], page.size)
                     densest[column] = max(densest[column], page.size / max(1, page.values))
         if sum(largest) > self._max_pages_bytes:

@@ -3,7 +3,7 @@
 A file of a few kilobytes can become gigabytes: pages are compressed, a value is stored once for many rows, and the
 sizes in the metadata of a file may be lies. The reader allocates what the header of each page says and refuses the page
 if its content is of another size, so these headers are the truth. The library does not show them. They are structs in
-the compact protocol of Thrift, which has one rule for each type.
+the compact protocol of Thrift, which has one rule for each type. The footer is read in the same way.
 Sources: parquet.thrift of the Parquet format; the compact protocol of Apache Thrift.
 """
 
@@ -20,6 +20,9 @@ _UNCOMPRESSED, _COMPRESSED, _DATA_PAGE, _DICTIONARY_PAGE, _DATA_PAGE_2 = 2, 3, 5
 _VALUES: Final = 1  # field of the header of each kind of page
 _DEEPEST: Final = 8  # structs in structs. A page header has three.
 _MAX_ITEMS: Final = 1000  # of a list in a page header, which has none today
+_MAX_FOOTER_ITEMS: Final = 1 << 20  # of a list in a footer, such as that of the row groups
+_MAGIC: Final = b"PAR1"
+_ROW_GROUPS, _COLUMNS, _CHUNK, _CHUNK_SIZE, _DATA_OFFSET, _DICTIONARY_OFFSET = 4, 1, 3, 7, 9, 11  # fields of a footer
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,38 @@ class Page:
 
     size: int
     values: int
+
+
+@dataclass(frozen=True)
+class ColumnChunk:
+    """Column of a row group: the place of its first page in the file, and the bytes of all its pages there."""
+
+    start: int
+    size: int
+
+
+def read_chunks(path: Path) -> list[list[ColumnChunk]]:
+    """Return the column chunks of every row group, in the order of the columns, by the footer of a file.
+
+    The library has them too, and ends the process when it meets damaged statistics beside them.
+
+    Raises:
+        DataError: the footer cannot be read.
+    """
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        try:
+            size, magic = int.from_bytes(content[-8:-4], "little"), content[-4:]
+            if magic != _MAGIC or size > len(content) - 12:
+                raise ValueError("no footer")
+            footer, _ = _Reader(content, len(content) - 8 - size, _MAX_FOOTER_ITEMS).struct()
+            return [[_chunk(column[_CHUNK]) for column in group[_COLUMNS]] for group in footer.get(_ROW_GROUPS, ())]
+        except (IndexError, KeyError, TypeError, ValueError, RecursionError) as error:
+            raise _damaged(path) from error
+
+
+def _chunk(fields: dict[int, Any]) -> ColumnChunk:
+    offsets = filter(None, (fields.get(_DICTIONARY_OFFSET), fields[_DATA_OFFSET]))
+    return ColumnChunk(int(min(offsets, default=0)), int(fields[_CHUNK_SIZE]))
 
 
 def read_pages(path: Path, start: int, size: int) -> Iterator[Page]:
@@ -62,11 +97,12 @@ def _page(fields: dict[int, Any]) -> Page:
 
 
 class _Reader:
-    """A reader of values in the compact protocol. It reads whole numbers and structs, and skips all other values."""
+    """A reader of values in the compact protocol. It reads whole numbers, structs and lists, and skips all others."""
 
-    def __init__(self, content: mmap.mmap, at: int) -> None:
+    def __init__(self, content: mmap.mmap, at: int, most_items: int = _MAX_ITEMS) -> None:
         self._content = content
         self._at = at
+        self._most_items = most_items
 
     def struct(self, depth: int = 0) -> tuple[dict[int, Any], int]:
         """Return the fields of a struct by their numbers, and the place behind it."""
@@ -89,11 +125,10 @@ class _Reader:
         if kind in (_LIST, _SET):
             head = self._byte()
             items = head >> 4 if head >> 4 < 15 else self._varint()
-            if items > _MAX_ITEMS:
+            if items > self._most_items:
                 raise ValueError("too long")
-            for _ in range(items):
-                self._value(_BYTE if head & 0x0F in (_TRUE, _FALSE) else head & 0x0F, depth + 1)
-            return None
+            kind = _BYTE if head & 0x0F in (_TRUE, _FALSE) else head & 0x0F
+            return [self._value(kind, depth + 1) for _ in range(items)]
         if kind not in (_BYTE, _DOUBLE, _BINARY):
             raise ValueError("no type of a page header")
         length = {_BYTE: 1, _DOUBLE: 8}.get(kind) or self._varint()

@@ -10,7 +10,7 @@ from typing import Final
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from service.bulk.parquet_pages import read_pages
+from service.bulk.parquet_pages import read_chunks, read_pages
 from service.errors import DataError
 from training.tables.files import Header, TableFile
 
@@ -62,14 +62,12 @@ def parquet_batches(file: TableFile, wanted: tuple[str, ...]) -> Iterator[pa.Rec
 
 def _check_pages(file: TableFile, opened: pq.ParquetFile, wanted: tuple[str, ...]) -> None:
     """Refuse pages that are too large to be open at a time, by the headers of all pages."""
-    metadata, largest = opened.metadata, dict.fromkeys(wanted, 0)
-    for group in range(metadata.num_row_groups):
-        for number in range(metadata.num_columns):
-            chunk = metadata.row_group(group).column(number)
-            name = chunk.path_in_schema
+    names = [opened.schema.column(number).path for number in range(len(opened.schema.names))]
+    largest = dict.fromkeys(wanted, 0)
+    for chunks in read_chunks(file.path):
+        for name, chunk in zip(names, chunks, strict=False):
             if name in largest:
-                start = min(filter(None, (chunk.dictionary_page_offset, chunk.data_page_offset)), default=0)
-                sizes = (page.size for page in read_pages(file.path, start, chunk.total_compressed_size))
+                sizes = (page.size for page in read_pages(file.path, chunk.start, chunk.size))
                 largest[name] = max(largest[name], *sizes, 0)
     if sum(largest.values()) > MAX_PAGES_BYTES:
         name = max(largest, key=lambda name: largest[name])

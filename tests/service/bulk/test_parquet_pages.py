@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from service.bulk.parquet_pages import Page, read_pages
+from service.bulk.parquet_pages import Page, read_chunks, read_pages
 from service.errors import DataError
 
 CLAIM = 1 << 30
@@ -83,3 +83,34 @@ def test_bytes_that_are_no_pages_are_refused(tmp_path: Path, content: bytes) -> 
     path = written(tmp_path, content)
     with pytest.raises(DataError, match="pages: is damaged: its pages cannot be found"):
         list(read_pages(path, 0, len(content)))
+
+
+def test_column_chunks_of_the_library_are_found(tmp_path: Path) -> None:
+    """The footer tells the place and the size of every column of every group of rows, as the library does."""
+    path = tmp_path / "table.parquet"
+    table = pa.table({"x": np.arange(9000) % 50, "name": [f"name {number % 90}" for number in range(9000)]})
+    pq.write_table(table, path, row_group_size=100, use_dictionary=["name"], write_page_index=True)
+
+    metadata, found = pq.read_metadata(path), read_chunks(path)
+    assert (len(found), {len(group) for group in found}) == (90, {2})
+    for number, group in enumerate(found):
+        for column, chunk in enumerate(group):
+            known = metadata.row_group(number).column(column)
+            assert chunk.size == known.total_compressed_size
+            assert chunk.start == (known.dictionary_page_offset or known.data_page_offset)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"PAR1PAR1PAR1",
+        b"PAR1" + b"\xff" * 40 + b"\x28\x00\x00\x00PAR1",
+        b"PAR1....\x00\x00\x00\x7fPAR1",
+        b"PAR1" * 9 + b"x",
+    ],
+    ids=["short", "damaged", "beyond", "cut"],
+)
+def test_a_file_without_a_footer_is_refused(tmp_path: Path, content: bytes) -> None:
+    """A footer that is damaged, longer than the file or missing costs an error of the tree."""
+    with pytest.raises(DataError, match="is damaged"):
+        read_chunks(written(tmp_path, content))
