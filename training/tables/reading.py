@@ -33,11 +33,13 @@ UNKNOWN_SOURCE: Final = "pushes of undeclared origin"
 MAX_SOURCE: Final = 200  # characters
 MAX_PEERS: Final = 8
 MAX_LABEL_COLUMNS: Final = 16
-WRAPPED_RAD: Final = 4.0 * math.pi  # two turns: larger angles may be degrees, and are left for the check to find
+# Angles up to these are wrapped. Larger ones may be degrees, and are left for the check to find.
+WRAPPED_ANGLE_RAD: Final = 4.0 * math.pi  # a heading less a yaw
+WRAPPED_YAW_RAD: Final = 2.0 * math.pi
 
 
 def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
-    """Read a table of pushes. Angles of up to two turns are wrapped to (-pi, pi].
+    """Read a table of pushes. Push angles of up to two turns, and yaws of up to one, are wrapped.
 
     Args:
         path: a folder with ``pushes.csv`` or ``pushes.parquet``, or such a file of any name.
@@ -68,8 +70,8 @@ def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
     table = PushTable(
         objects=objects,
         object_index=_object_index(pushes, corners, columns.texts[key], objects, key),
-        pushers=_poses(numbers[name] for name in PUSHER),
-        outcomes=_poses(numbers[name] for name in OUTCOME),
+        pushers=_poses((numbers[name] for name in PUSHER), WRAPPED_ANGLE_RAD),
+        outcomes=_poses((numbers[name] for name in OUTCOME), WRAPPED_YAW_RAD),
         pusher_radius_m=numbers[RADIUS] if radius else np.full(columns.rows, DEFAULT_PUSHER_RADIUS_M),
         surfaces=surfaces.values,
         surface_index=surfaces.index,
@@ -82,10 +84,10 @@ def read_table(path: Path, objects_file: Path | None = None) -> PushTable:
     return replace(table, digest=content_digest(table))
 
 
-def _poses(columns: Iterable[DoubleArray]) -> DoubleArray:
-    """Return columns side by side, with the angles, the third, wrapped."""
+def _poses(columns: Iterable[DoubleArray], limit_rad: float) -> DoubleArray:
+    """Return columns side by side, with angles up to the limit, in the third, wrapped to (-pi, pi]."""
     found = np.column_stack(list(columns))
-    found[:, 2] = np.where(np.abs(found[:, 2]) <= WRAPPED_RAD, wrap_angles(found[:, 2]), found[:, 2])
+    found[:, 2] = np.where(np.abs(found[:, 2]) <= limit_rad, wrap_angles(found[:, 2]), found[:, 2])
     return found
 
 

@@ -21,12 +21,20 @@ def test_a_table_is_read_as_it_is_written(tmp_path: Path) -> None:
     assert table.surfaces == ("unstated",)
 
 
-@pytest.mark.parametrize(("angle", "read"), [(6.0, 6.0 - 2.0 * np.pi), (-3.5, 2.0 * np.pi - 3.5), (90.0, 90.0)])
-def test_angles_are_wrapped_unless_they_may_be_degrees(tmp_path: Path, angle: float, read: float) -> None:
-    """Wrap an angle of up to two turns, and leave a larger one for the check to find."""
-    table = read_table(write_folder(tmp_path, [{**PUSH, "push_angle_rad": angle, "object_yaw_rad": angle}]))
-    assert table.pushers[0, 2] == pytest.approx(read)
-    assert table.outcomes[0, 2] == pytest.approx(read)
+@pytest.mark.parametrize(
+    ("column", "angle", "read"),
+    [
+        ("push_angle_rad", 12.0, 12.0 - 4.0 * np.pi),
+        ("push_angle_rad", 90.0, 90.0),
+        ("object_yaw_rad", 6.0, 6.0 - 2.0 * np.pi),
+        ("object_yaw_rad", 12.0, 12.0),
+    ],
+)
+def test_angles_are_wrapped_unless_they_may_be_degrees(tmp_path: Path, column: str, angle: float, read: float) -> None:
+    """Wrap push angles of up to two turns and yaws of up to one, and leave larger ones for the check to find."""
+    table = read_table(write_folder(tmp_path, [{**PUSH, column: angle}]))
+    found = {"push_angle_rad": table.pushers[0, 2], "object_yaw_rad": table.outcomes[0, 2]}
+    assert found[column] == pytest.approx(read)
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from service.pushing.poses import DoubleArray, wrap_angles
 from training.inspection.findings import DatasetFinding, Severity
 from training.inspection.tables.geometry import PushGeometry, centroid_motion, push_geometry, rows_by_object
 from training.tables.push_table import PushTable
+from training.tables.reading import WRAPPED_ANGLE_RAD, WRAPPED_YAW_RAD
 
 START_INSIDE_M: Final = 0.003  # overlap at the start. Recorded pushes have 0.3 mm, and 3 mm once in 2,000.
 END_INSIDE_M: Final = 0.008  # overlap at the end. Recorded pushes have up to 7.4 mm.
@@ -31,7 +32,6 @@ BETTER: Final = 0.08  # by which another frame must be better
 SAMPLE: Final = 4000  # pushes on which frames are tried
 SAMPLE_OBJECTS: Final = 200
 _FAR_OFF: Final = 15.0  # times the expected ratio of two lengths: no longer the same unit
-_TURNS: Final = 4.0 * math.pi  # angles beyond are degrees
 LONGEST_M: Final = 1.0  # a plausible push
 FEWEST: Final = 3  # pushes that fit another frame better
 Poses = tuple[DoubleArray, DoubleArray]
@@ -62,8 +62,11 @@ def odd_units(where: str, table: PushTable) -> Iterator[DatasetFinding]:
         for names, (ratios, usual) in lengths.items()
         if len(ratios) and np.median(ratios) > _FAR_OFF * usual
     ]
-    for name, angles in (("push_angle_rad", table.pushers[:, 2]), ("object_yaw_rad", table.outcomes[:, 2])):
-        if np.mean(np.abs(angles) > _TURNS) > 0.01:
+    for name, angles, most in (
+        ("push_angle_rad", table.pushers[:, 2], WRAPPED_ANGLE_RAD),
+        ("object_yaw_rad", table.outcomes[:, 2], WRAPPED_YAW_RAD),
+    ):
+        if np.mean(np.abs(angles) > most) > 0.01:
             text = (
                 f"{name} looks like degrees (up to {np.abs(angles).max():.4g}); expected radians: multiply by pi / 180"
             )
