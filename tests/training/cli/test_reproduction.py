@@ -111,7 +111,7 @@ def test_published_commands_are_rendered_unchanged(project_root: Path, monkeypat
     documents = [json.loads(path.read_text(encoding="utf-8")) for path in Path("docs/results").glob("*/figures.json")]
     commands = [document["command"] for document in documents if "experiment" in document]
 
-    assert len(commands) == 7
+    assert len(commands) == 8
     for text in commands:
         parsed = reproduce.make_context("reproduce", shlex.split(text)[2:]).params
         options = ReproductionOptions(data=parsed.pop("folder"), **parsed)
