@@ -56,6 +56,21 @@ class DatasetFinding:
     message: str
 
 
+class Judged:
+    """Inspection as the verdict of its findings, of a folder or of a table."""
+
+    findings: tuple[DatasetFinding, ...]
+
+    def of(self, severity: Severity) -> list[DatasetFinding]:
+        """Return the findings of one severity."""
+        return [finding for finding in self.findings if finding.severity is severity]
+
+    @property
+    def fit_to_train_on(self) -> bool:
+        """Verdict of the inspection: true without a finding that makes training wrong."""
+        return not self.of(Severity.ERROR)
+
+
 @dataclass(frozen=True)
 class ObjectPushes:
     """Pushes of one object in SI units, float64 [pushes, 3] each, and the data types of its files."""

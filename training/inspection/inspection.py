@@ -16,6 +16,7 @@ from service.errors import DataError
 from training.inspection.findings import (
     ENOUGH_PUSHES,
     DatasetFinding,
+    Judged,
     ObjectPushes,
     Severity,
     odd_normalised,
@@ -58,21 +59,12 @@ class SurfaceReport:
 
 
 @dataclass(frozen=True)
-class Inspection:
+class Inspection(Judged):
     """Inspection of a folder: a report per surface, and the findings."""
 
     folder: Path
     surfaces: tuple[SurfaceReport, ...]
     findings: tuple[DatasetFinding, ...]
-
-    def of(self, severity: Severity) -> list[DatasetFinding]:
-        """Return the findings of one severity."""
-        return [finding for finding in self.findings if finding.severity is severity]
-
-    @property
-    def fit_to_train_on(self) -> bool:
-        """Verdict of the inspection: true without a finding that makes training wrong."""
-        return not self.of(Severity.ERROR)
 
 
 def inspect(folder: Path, quiet: bool = False) -> Inspection:

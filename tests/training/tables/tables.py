@@ -1,16 +1,19 @@
-"""Tables of pushes for tests: a small valid one, and its files as text."""
+"""Tables of pushes for tests: a small valid one, its files as text, and the fault in which reading ends."""
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from service.errors import DataError
 from service.pushing.first_contact import first_contact
 from service.pushing.mechanics import push
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray, wrap_angle
 from training.tables.push_table import DEFAULT_PUSHER_RADIUS_M, PushTable, TableObject
+from training.tables.reading import read_table
 
 WEDGE = ((0.06, 0.01), (0.05, 0.04), (-0.03, 0.04), (-0.06, -0.03), (-0.01, -0.02))  # of no symmetry
 BOX = ((0.05, 0.03), (-0.05, 0.03), (-0.05, -0.03), (0.05, -0.03))
@@ -86,3 +89,11 @@ def _starts(outline: Outline, count: int, rng: np.random.Generator) -> DoubleArr
             x, y = start + travel * np.array([math.cos(heading), math.sin(heading)])
             found.append([x, y, heading, 0.05])
     return np.array(found)
+
+
+def fault_of(path: Path) -> str:
+    """Return the one line in which reading a table ends, behind the name of the file."""
+    with pytest.raises(DataError) as caught:
+        read_table(path)
+    (line,) = str(caught.value).splitlines()
+    return line.removeprefix(f"{path}: ")

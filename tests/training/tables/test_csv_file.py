@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from service.errors import DataError
-from tests.training.tables.tables import write_folder
+from tests.training.tables.tables import fault_of, write_folder
 from training.tables.csv_file import BLOCK_BYTES
 from training.tables.reading import read_table
 
@@ -15,14 +14,6 @@ from training.tables.reading import read_table
 def path(tmp_path: Path) -> Path:
     """The file of pushes of a valid table."""
     return write_folder(tmp_path) / "pushes.csv"
-
-
-def fault_of(path: Path) -> str:
-    """Return the one line in which reading a table ends, behind the name of the file."""
-    with pytest.raises(DataError) as caught:
-        read_table(path)
-    (line,) = str(caught.value).splitlines()
-    return line.removeprefix(f"{path}: ")
 
 
 @pytest.mark.parametrize(

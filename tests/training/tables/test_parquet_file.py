@@ -8,8 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from service.errors import DataError
-from tests.training.tables.tables import PUSH, write_folder
+from tests.training.tables.tables import PUSH, fault_of, write_folder
 from training.tables.files import MAX_PUSHES
 from training.tables.reading import read_table
 
@@ -25,14 +24,6 @@ def write(path: Path, columns: dict[str, Any], **options: Any) -> None:
     """Write one push, or more, with some columns replaced."""
     rows = max((len(column) for column in columns.values()), default=1)
     pq.write_table(pa.table({**{name: [value] * rows for name, value in PUSH.items()}, **columns}), path, **options)
-
-
-def fault_of(path: Path) -> str:
-    """Return the one line in which reading a table ends, behind the name of the file."""
-    with pytest.raises(DataError) as caught:
-        read_table(path)
-    (line,) = str(caught.value).splitlines()
-    return line.removeprefix(f"{path}: ")
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from training.inspection.findings import DatasetFinding, Severity, odd_angles, odd_quantiles
+from training.inspection.findings import DatasetFinding, Judged, odd_angles, odd_quantiles
 from training.inspection.statistics import MotionQuantiles, motion_quantiles
 from training.inspection.tables.findings import (
     odd_motion,
@@ -23,7 +23,7 @@ ENOUGH_PUSHES: Final = 100  # fewer have no quantiles to compare
 
 
 @dataclass(frozen=True)
-class TableInspection:
+class TableInspection(Judged):
     """Inspection of a table: its figures, and the findings."""
 
     path: Path
@@ -33,15 +33,6 @@ class TableInspection:
     motion: MotionQuantiles
     other: tuple[str, MotionQuantiles] | None  # name and motion of the table beside it
     findings: tuple[DatasetFinding, ...]
-
-    def of(self, severity: Severity) -> list[DatasetFinding]:
-        """Return the findings of one severity."""
-        return [finding for finding in self.findings if finding.severity is severity]
-
-    @property
-    def fit_to_train_on(self) -> bool:
-        """Verdict of the inspection: true without a finding that makes training wrong."""
-        return not self.of(Severity.ERROR)
 
 
 def inspect_table(
