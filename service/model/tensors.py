@@ -16,6 +16,7 @@ class ContextKind(StrEnum):
     NONE = "none"
     INDICATOR = "indicator"
     VISUAL = "visual"
+    SHAPE = "shape"
 
 
 @dataclass(frozen=True)

@@ -4,11 +4,18 @@ from typing import Final
 
 from service.model.tensors import ContextKind, Tensor
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
+from service.pushing.shape_context import BODY_UNITS, CORNERS, SILHOUETTE_SIZE
 
 _POSE_UNITS: Final = ("m", "m", "rad")
 _PUSHER: Final = Tensor("pusher", "float32", ("n", 3), _POSE_UNITS)
 _INDICATOR: Final = Tensor("context", "float32", ("g", INDICATOR_LENGTH), ("1",))
 _VISUAL: Final = Tensor("context", "float32", ("g", 1, VISUAL_SIZE, VISUAL_SIZE), ("1",))
+_PUSHER_WITH_LENGTH: Final = Tensor("pusher", "float32", ("n", 4), (*_POSE_UNITS, "m"))
+_SHAPE: Final = (
+    Tensor("silhouette", "float32", ("g", 1, SILHOUETTE_SIZE, SILHOUETTE_SIZE), ("1",)),
+    Tensor("outline", "float32", ("g", CORNERS, 2), ("m", "m")),
+    Tensor("body", "float32", ("g", len(BODY_UNITS)), BODY_UNITS),
+)
 _CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
 OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
 
@@ -17,4 +24,6 @@ def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
     """Return the inputs that a graph of this context kind must have, in order."""
     if kind is ContextKind.NONE:
         return (_PUSHER,)
+    if kind is ContextKind.SHAPE:
+        return (_PUSHER_WITH_LENGTH, *_SHAPE, _CONTEXT_INDEX)
     return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)
