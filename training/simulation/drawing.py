@@ -22,11 +22,12 @@ from service.pushing.images import (
     FULL_LEVEL_MASS_KG,
     IMAGE_CONVENTION,
 )
+from service.pushing.sides import Polygon
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.npy_files import write_npy
 from training.omnipush.views import VIEW_PIXELS, View, view_file_name
 from training.simulation.camera import camera_view
-from training.simulation.solids import WEIGHT_RADIUS_M, Polygon, Weight, clearance_m, solid
+from training.simulation.solids import WEIGHT_RADIUS_M, Weight, clearance_m, solid
 
 PIXEL_M: Final = FIELD_OF_VIEW_M / VIEW_PIXELS
 _REFERENCE_OBJECT: Final = "1a2C3b4a"  # every shape and both weights

@@ -18,12 +18,13 @@ from mujoco import rollout
 
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
+from service.pushing.sides import outline
 from training.omnipush.layout import SIMULATED
 from training.simulation import bodies, exact
 from training.simulation.approach import Approach, draw_pushers
 from training.simulation.pushing import STEP_M, push_body
 from training.simulation.scene import PUSH_DURATION_S, PUSHER_RADIUS_M, Arctangent, push_object, scene
-from training.simulation.solids import Solid, centre_of_mass_m, clearance_m, outline, solid
+from training.simulation.solids import Solid, centre_of_mass_m, clearance_m, solid
 from training.simulation.surfaces import Array, FrictionField, Surface, draw_conditions
 
 START_RADIUS_M: Final = (0.0755, 0.085)  # of the pusher's start around the object's centre

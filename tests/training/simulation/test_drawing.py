@@ -14,10 +14,11 @@ from service.errors import DataError
 from service.pushing.contexts import ObjectContext
 from service.pushing.image_quality import quality_flags
 from service.pushing.images import FIELD_OF_VIEW_M, GreyImage, decode, visual_context
+from service.pushing.sides import RECTANGLE_DEPTH_M
 from training.omnipush.published import omnipush_descriptors
 from training.omnipush.views import read_views
 from training.simulation.drawing import PIXEL_M, top_down_view, write_views
-from training.simulation.solids import RECTANGLE_DEPTH_M, WEIGHT_RADIUS_M, solid
+from training.simulation.solids import WEIGHT_RADIUS_M, solid
 
 BACKGROUND, BODY, LIGHT_WEIGHT, HEAVY_WEIGHT = 0, 128, 179, 255  # of 255: 0, 0.5, 0.7, 1
 OBJECTS = ("1a2a3a4a", "2C3b1a4a", "4a4c1a3b")

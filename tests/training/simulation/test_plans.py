@@ -8,6 +8,7 @@ import pytest
 
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
+from service.pushing.sides import outline
 from training.simulation.approach import travel_to_touch_m
 from training.simulation.exact import directions
 from training.simulation.plans import (
@@ -23,7 +24,7 @@ from training.simulation.plans import (
     sample_pushers,
 )
 from training.simulation.scene import PUSHER_RADIUS_M
-from training.simulation.solids import Solid, centre_of_mass_m, clearance_m, outline, solid
+from training.simulation.solids import Solid, centre_of_mass_m, clearance_m, solid
 from training.simulation.surfaces import ABS, Array
 
 

@@ -11,10 +11,11 @@ from mujoco import rollout
 
 from service.pushing.contexts import ObjectContext
 from service.pushing.poses import PUSH_LENGTH_M
+from service.pushing.sides import CIRCLE_RADIUS_M, CORE_HALF_WIDTH_M
 from training.inspection.statistics import missed
 from training.simulation.plans import sample_pushers
 from training.simulation.scene import PUSH_DURATION_S, PUSHER_RADIUS_M, push_object, relative, scene
-from training.simulation.solids import CIRCLE_RADIUS_M, CORE_HALF_WIDTH_M, Solid, solid
+from training.simulation.solids import Solid, solid
 from training.simulation.surfaces import (
     ABS,
     PLYWOOD,

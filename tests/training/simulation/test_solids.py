@@ -8,8 +8,9 @@ import numpy.typing as npt
 import pytest
 
 from service.pushing.contexts import ObjectContext
+from service.pushing.sides import CORE_HALF_WIDTH_M, RECTANGLE_DEPTH_M, Polygon
 from training.omnipush.published import omnipush_descriptors
-from training.simulation.solids import CORE_HALF_WIDTH_M, RECTANGLE_DEPTH_M, Polygon, Solid, clearance_m, solid
+from training.simulation.solids import Solid, clearance_m, solid
 
 CORE_AREA_M2 = 4.0 * CORE_HALF_WIDTH_M**2
 UNIT_SQUARE = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
