@@ -5,7 +5,7 @@
 ``object-frame.png`` shows origin and axes of the object frame, a push, the four shapes of sides with their dimensions,
 and ``4a4a4a4a``, which is a cross of 126 mm and no box. ``picture-frame.png`` shows the two conventions of an image:
 a picture with its scale, for models of any shape, and a view with Omnipush's width and grey levels. Lengths and levels
-are those of the code that draws and reads: ``training/simulation/solids.py`` and ``service/pushing/images.py``.
+are those of the code that draws and reads: ``service/pushing/sides.py`` and ``service/pushing/images.py``.
 """
 
 import argparse
@@ -18,6 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 
+from service.pushing import sides
 from service.pushing.contexts import ObjectContext
 from service.pushing.images import BACKGROUND_LEVEL, BODY_LEVEL, FIELD_OF_VIEW_M
 from service.pushing.outlines import Outline
@@ -57,8 +58,8 @@ def draw_picture_frame(path: Path) -> None:
 
 def _draw_sides(axes: Any) -> None:
     """Draw the object 1a2b3c4a with its axes, weights, dimensions, and a push."""
-    half = _mm(solids.CORE_HALF_WIDTH_M)
-    _fill(axes, solids.outline(SHOWN))
+    half = _mm(sides.CORE_HALF_WIDTH_M)
+    _fill(axes, sides.outline(SHOWN))
     axes.plot(*_square(half).T, color="0.6", linewidth=0.8, linestyle="--")
     _draw_axes(axes, 88.0)
     for weight in solids.solid(SHOWN).weights:
@@ -72,15 +73,15 @@ def _draw_sides(axes: Any) -> None:
         (0, -70, "4 rectangular"),
     ):
         axes.text(x, y, f"side {name}", ha="center", va="center", fontsize=9, fontweight="bold")
-    concave, bite = _mm(solids.CONCAVE_DEPTH_M), _mm(solids.CONCAVE_BITE_DEPTH_M)
+    concave, bite = _mm(sides.CONCAVE_DEPTH_M), _mm(sides.CONCAVE_BITE_DEPTH_M)
     _dimension(axes, (half, -34), (half + concave, -34), f"{concave:.0f}", (0.0, -5.0))
     _dimension(axes, (half + concave - bite, 14), (half + concave, 14), f"{bite:.0f}", (3.0, 4.0))
-    mouth = _mm(solids.CONCAVE_BITE_HALF_WIDTH_M)
+    mouth = _mm(sides.CONCAVE_BITE_HALF_WIDTH_M)
     _dimension(axes, (half + concave + 6, -mouth), (half + concave + 6, mouth), f"{2 * mouth:.0f}", (5.0, 8.0))
-    _dimension(axes, (34, half), (34, half + _mm(solids.TRIANGLE_DEPTH_M)), f"{_mm(solids.TRIANGLE_DEPTH_M):.0f}")
-    radius = _mm(solids.CIRCLE_RADIUS_M)
+    _dimension(axes, (34, half), (34, half + _mm(sides.TRIANGLE_DEPTH_M)), f"{_mm(sides.TRIANGLE_DEPTH_M):.0f}")
+    radius = _mm(sides.CIRCLE_RADIUS_M)
     _dimension(axes, (-half - radius, -34), (-half, -34), f"{radius:.0f}", (0.0, -5.0))
-    rectangle = _mm(solids.RECTANGLE_DEPTH_M)
+    rectangle = _mm(sides.RECTANGLE_DEPTH_M)
     _dimension(axes, (34, -half - rectangle), (34, -half), f"{rectangle:.0f}")
     _dimension(axes, (-half, -18), (half, -18), f"core {2 * half:.0f} x {2 * half:.0f}", (0.0, -5.0))
     start = np.array(START_M) * 1e3
@@ -102,9 +103,9 @@ def _draw_sides(axes: Any) -> None:
 
 def _draw_cross(axes: Any) -> None:
     """Draw the object 4a4a4a4a beside the box that it is not."""
-    found = solids.outline(CROSS)
+    found = sides.outline(CROSS)
     low, high = _mm(found.corners.min()), _mm(found.corners.max())
-    half, depth = _mm(solids.CORE_HALF_WIDTH_M), _mm(solids.RECTANGLE_DEPTH_M)
+    half, depth = _mm(sides.CORE_HALF_WIDTH_M), _mm(sides.RECTANGLE_DEPTH_M)
     axes.plot(*_square(high).T, color="tab:red", linewidth=1.2, linestyle="--")
     _fill(axes, found)
     axes.plot(*_square(half).T, color="0.6", linewidth=0.8, linestyle="--")

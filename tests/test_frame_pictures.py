@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from benchmarks.frame_pictures import CROSS, OBJECT_FILE, PICTURE_FILE, main
-from training.simulation import solids
+from service.pushing import sides
 
 
 def test_both_pictures_are_drawn_alike_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -23,9 +23,9 @@ def test_both_pictures_are_drawn_alike_each_time(tmp_path: Path, capsys: pytest.
 
 def test_the_cross_of_the_documentation_has_its_width(project_root: Path) -> None:
     """The page says how wide 4a4a4a4a is, which is the width of its outline, and that it is no box."""
-    corners = solids.outline(CROSS).corners
+    corners = sides.outline(CROSS).corners
     width_mm = 1e3 * (corners.max(axis=0) - corners.min(axis=0))
     page = (project_root / "docs" / "api.md").read_text(encoding="utf-8")
     assert width_mm == pytest.approx([126.0, 126.0])
     assert f"`4a4a4a4a` is a cross of {width_mm[0]:.0f} mm, not a box" in page
-    assert solids.outline(CROSS).area_m2 < 0.8 * 0.126**2
+    assert sides.outline(CROSS).area_m2 < 0.8 * 0.126**2
