@@ -59,7 +59,7 @@ def bare_runtime() -> Callable[[], float]:
     def measure() -> float:
         began, runs = time.perf_counter(), 0
         while time.perf_counter() - began < 1.0:
-            predictor.predict(rows, context, index)
+            predictor.predict(rows, (context,), index)
             runs += 1
         return runs * ROWS / (time.perf_counter() - began)
 

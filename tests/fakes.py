@@ -12,9 +12,10 @@ from service.inference.loaded_models import LoadedModels
 from service.inference.query import FIRST_CONTEXT, ContextBatch, predict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
-from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray, Tensor
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE, ObjectContext, VisualContext
-from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+from service.model.self_check import flattened
+from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray, Tensor
+from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from service.registry.registry import Registry
 
 NO_KEYS = Path(__file__).parent / "data" / "no_keys.txt"
@@ -37,6 +38,7 @@ class FakePredictor:
     """A predictor whose mean is -0.1 times the pusher pose. With a context, the angle is the sum of its values.
 
     Attributes:
+        has_domain: whether it tells how unfamiliar a push is.
         calls: pushers of each call, (n, 3).
         contexts: number of contexts of each call that had some.
         size: size of the graph that it pretends to run.
@@ -44,32 +46,35 @@ class FakePredictor:
 
     model: bytes
     takes_context: bool
+    has_domain: bool = False
     calls: list[FloatArray] = field(default_factory=list)
     contexts: list[int] = field(default_factory=list)
     size: GraphSize = SMALL
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``service.model.predictor.Predictor``."""
         self.calls.append(pusher)
-        if context is not None:
-            self.contexts.append(len(context))
+        if contexts:
+            self.contexts.append(len(contexts[0]))
         if self.model == FAILING and not is_checked(pusher):
             raise PredictionError("the fake fails")
         if self.model == BUGGY and not is_checked(pusher):
             raise ZeroDivisionError("the fake has a bug")
-        mean = np.asarray(-pusher / 10.0, dtype=np.float32)
-        if self.takes_context and context is not None and context_index is not None:
-            mean[:, 2] = context.reshape(len(context), -1).sum(axis=1)[context_index]
+        mean = np.asarray(-pusher[:, :3] / 10.0, dtype=np.float32)
+        if self.takes_context and contexts and context_index is not None:
+            sums = [tensor.reshape(len(tensor), -1).sum(axis=1) for tensor in contexts]
+            mean[:, 2] = np.sum(sums, axis=0)[context_index]
         if self.model == LYING:
             mean = mean + np.float32(1.0)
-        return mean, np.tile(np.array(STD, dtype=np.float32), (len(pusher), 1))
+        std = np.tile(np.array(STD, dtype=np.float32), (len(pusher), 1))
+        return Gaussians(mean, std, np.full((len(mean), 2), 0.5, dtype=np.float32) if self.has_domain else None)
 
 
 def is_checked(pusher: FloatArray) -> bool:
     """Return whether these are the pushes of a self-check."""
-    return bool(pusher[0].tolist() == np.array(CHECKED_PUSH, dtype=np.float32).tolist())
+    return bool(pusher[0, :3].tolist() == np.array(CHECKED_PUSH, dtype=np.float32).tolist())
 
 
 @dataclass
@@ -86,7 +91,7 @@ class Gate:
 
     def load(self, model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> "HeldPredictor":
         """Create a predictor. See ``service.model.predictor.PredictorFactory``."""
-        return HeldPredictor(model, len(inputs) > 1, gate=self)
+        return HeldPredictor(model, len(inputs) > 1, len(outputs) > 2, gate=self)
 
 
 @dataclass
@@ -96,13 +101,13 @@ class HeldPredictor(FakePredictor):
     gate: Gate = field(default_factory=Gate)
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``service.model.predictor.Predictor``."""
         if not is_checked(pusher):
             self.gate.reached.release()
             self.gate.opened.wait()
-        return super().predict(pusher, context, context_index)
+        return super().predict(pusher, contexts, context_index)
 
 
 def load_fake(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor]) -> FakePredictor:
@@ -113,16 +118,18 @@ def load_fake(model: bytes, inputs: Sequence[Tensor], outputs: Sequence[Tensor])
     """
     if model == BROKEN:
         raise BrokenModelError("model.onnx: the fake refuses it")
-    return FakePredictor(model, len(inputs) > 1)
+    return FakePredictor(model, len(inputs) > 1, len(outputs) > 2)
 
 
 def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
     """Create a manifest whose self-check holds the answer of ``FakePredictor``."""
-    pusher = [CHECKED_PUSH]
-    context = np.zeros((1, VISUAL_SIZE**2 if kind is ContextKind.VISUAL else INDICATOR_LENGTH), dtype=np.float32)
-    context[0, :3] = 1.0
-    mean, std = FakePredictor(b"", kind is not ContextKind.NONE).predict(
-        np.array(pusher, dtype=np.float32), context, np.zeros(1, dtype=np.int64)
+    inputs = expected_inputs(kind)
+    pusher = [CHECKED_PUSH + [0.05] * (kind is ContextKind.SHAPE)]
+    contexts = tuple(np.zeros((1, *map(int, tensor.shape[1:])), dtype=np.float32) for tensor in inputs[1:-1])
+    for tensor in contexts[:1]:
+        tensor.reshape(-1)[:3] = 1.0
+    mean, std, _ = FakePredictor(b"", kind is not ContextKind.NONE).predict(
+        np.array(pusher, dtype=np.float32), contexts, np.zeros(1, dtype=np.int64)
     )
     return Manifest(
         name=name,
@@ -130,8 +137,8 @@ def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind
         created="2026-11-22T00:00:00+00:00",
         method="FCN" if kind is ContextKind.NONE else "FCN + CM",
         context_kind=kind,
-        inputs=expected_inputs(kind),
-        outputs=OUTPUTS,
+        inputs=inputs,
+        outputs=OUTPUTS_WITH_UNFAMILIARITY if kind is ContextKind.SHAPE else OUTPUTS,
         normalisation=NormalisationRecord([0.0] * 3, [1.0] * 3, [0.0] * 3, [1.0] * 3),
         image_convention=None,
         recipe={"epochs": 1, "seed": 0},
@@ -139,7 +146,7 @@ def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind
         code_version="0.0.0",
         metrics={"different-objects": Metrics(0.5, 0.5, 10.96, 1.0)},
         calibration={"different-objects": Calibration("none", 0.5, 0.9, 0.95, [0.001, 0.002, 0.03])},
-        self_check=SelfCheck(pusher, context.tolist(), [0], mean.tolist(), std.tolist(), 1e-4),
+        self_check=SelfCheck(pusher, flattened(contexts), [0], mean.tolist(), std.tolist(), 1e-4),
         files={},
     )
 
@@ -182,7 +189,7 @@ def predict_push(
 ) -> Gaussian:
     """Predict one push as a query does. Return mean and std, three numbers each, in m, m, rad in the object frame."""
     kind = ContextKind.NONE if context is None else context.kind
-    tensor, index = (None, None) if context is None else (context.tensor()[None], FIRST_CONTEXT)
-    batch = ContextBatch(kind, tensor, index, "context")
-    mean, std = predict(model, np.array([pusher], dtype=np.float32), batch)
+    tensors, index = ((), None) if context is None else ((context.tensor()[None],), FIRST_CONTEXT)
+    batch = ContextBatch(kind, tensors, index, "context")
+    mean, std, _ = predict(model, np.array([pusher], dtype=np.float32), batch)
     return mean[0].tolist(), std[0].tolist()

@@ -79,8 +79,8 @@ def publish_visual(registry: Registry) -> None:
     model = visual_model()
     pusher = np.array([[-0.08, 0.0, 0.0]], dtype=np.float32)
     context = np.zeros((1, 1, VISUAL_SIZE, VISUAL_SIZE), dtype=np.float32)
-    mean, std = OnnxPredictor(model, expected_inputs(ContextKind.VISUAL), OUTPUTS).predict(
-        pusher, context, np.zeros(1, dtype=np.int64)
+    mean, std, _ = OnnxPredictor(model, expected_inputs(ContextKind.VISUAL), OUTPUTS).predict(
+        pusher, (context,), np.zeros(1, dtype=np.int64)
     )
     rows = context.reshape(1, -1).tolist()
     check = SelfCheck(pusher.tolist(), rows, [0], mean.tolist(), std.tolist(), 1e-4)

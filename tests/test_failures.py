@@ -19,7 +19,7 @@ from service.app import Service, create_app
 from service.errors import PredictionError
 from service.inference.loaded_models import LoadedModels
 from service.inference.snapshot import Snapshot
-from service.model.tensors import FloatArray, IndexArray, Tensor
+from service.model.tensors import FloatArray, Gaussians, IndexArray, Tensor
 from service.observability.logs import RequestLog
 from service.observability.telemetry import RequestTelemetry
 from service.observability.tracing import Tracing
@@ -55,12 +55,12 @@ class FailingPredictor(FakePredictor):
     models: "FailingModels"
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``FakePredictor``."""
         if self.models.prediction is not None and not is_checked(pusher):
             raise self.models.prediction
-        return super().predict(pusher, context, context_index)
+        return super().predict(pusher, contexts, context_index)
 
 
 class FailingModels(LoadedModels):

@@ -42,7 +42,7 @@ def means(model: LoadedModel, objects: list[ObjectContext], pushes: Array) -> Ar
     """Predict the means of every push of every object, (objects, pushes, 3)."""
     context = np.stack([thing.indicator() for thing in objects])
     index = np.repeat(np.arange(len(objects)), len(pushes))
-    mean, _ = model.predictor.predict(np.tile(pushes, (len(objects), 1)).astype(np.float32), context, index)
+    mean, *_ = model.predictor.predict(np.tile(pushes, (len(objects), 1)).astype(np.float32), (context,), index)
     return mean.astype(np.float64).reshape(len(objects), len(pushes), 3)
 
 
@@ -96,7 +96,7 @@ def test_every_push_of_a_grid_has_a_positive_finite_std(champion: LoadedModel) -
     axis = np.linspace(-1.0, 1.0, 21)
     grid = np.stack(np.meshgrid(axis, axis, np.linspace(-math.pi, math.pi, 17)), axis=-1).reshape(-1, 3)
     context = ObjectContext.from_descriptor("1a2C3b4a").indicator()[None]
-    mean, std = champion.predictor.predict(grid.astype(np.float32), context, np.zeros(len(grid), dtype=np.int64))
+    mean, std, _ = champion.predictor.predict(grid.astype(np.float32), (context,), np.zeros(len(grid), dtype=np.int64))
     assert np.isfinite(mean).all()
     assert (std > 0.0).all()
     assert (np.abs(mean[:, 2]) <= np.float32(math.pi)).all()

@@ -69,8 +69,8 @@ def predict_chunk(model: LoadedModel, chunk: Chunk) -> FloatArray:
         raise InvalidRequestError([fault[1]])
     pushers: FloatArray = chunk.poses.astype(np.float32)
     pushers[:, 2] = wrap_angles(chunk.poses[:, 2])
-    mean, std = predict(model, pushers, ContextBatch(kind, contexts, chunk.context_index, CONTEXT_FIELD))
-    return np.hstack([mean, std])
+    found = predict(model, pushers, ContextBatch(kind, contexts, chunk.context_index, CONTEXT_FIELD))
+    return np.hstack([found.mean, found.std])
 
 
 def _pose_fault(chunk: Chunk) -> tuple[int, FieldFault] | None:
@@ -88,10 +88,10 @@ def _pose_fault(chunk: Chunk) -> tuple[int, FieldFault] | None:
     return row, unreachable(where, value)
 
 
-def _contexts(kind: ContextKind, chunk: Chunk) -> tuple[FloatArray | None, tuple[int, FieldFault] | None]:
-    """Return the distinct contexts as a tensor, or the first row with an invalid context and its fault."""
+def _contexts(kind: ContextKind, chunk: Chunk) -> tuple[tuple[FloatArray, ...], tuple[int, FieldFault] | None]:
+    """Return the distinct contexts as tensors, or the first row with an invalid context and its fault."""
     if chunk.context_index is None:
-        return None, None
+        return (), None
     tensors = []
     for number, given in enumerate(
         chunk.contexts
@@ -101,8 +101,8 @@ def _contexts(kind: ContextKind, chunk: Chunk) -> tuple[FloatArray | None, tuple
         try:
             tensors.append(_parse_context(given, where).tensor())
         except InvalidRequestError as error:
-            return None, (row, error.faults[0])
-    return np.stack(tensors), None
+            return (), (row, error.faults[0])
+    return (np.stack(tensors),), None
 
 
 def _parse_context(given: str | bytes | None, where: str) -> ObjectContext | VisualContext:

@@ -23,14 +23,14 @@ import numpy as np
 
 from service.background.supervision import ENDINGS, carried
 from service.inference.query import Answer, ContextBatch, Query, predict
-from service.model.tensors import FloatArray
+from service.model.tensors import FloatArray, Gaussians
 from service.observability.timings import record_timing
 
 MAX_PUSHES_PER_CALL: Final = 64  # holds the event loop for a tenth of a millisecond
 CALL_S: Final = 0.01  # of a call in the event loop, at most. A version that takes longer for one push needs a thread.
 ITERATION_S: Final = 0.02  # of all calls of an iteration: no other begins after it
-Gaussian = tuple[FloatArray, FloatArray, float]  # mean and std (1, 3), and the seconds that the call took
-Outcome = Gaussian | BaseException
+Prediction = tuple[Gaussians, float]  # of one push, and the seconds that the call took
+Outcome = Prediction | BaseException
 Callback = Callable[[Outcome], None]
 _Waiting = tuple[Query, Callback]
 
@@ -60,7 +60,7 @@ class MicroBatcher:
         Raises:
             ContextKindError, PredictionError: see ``Query.answer``.
         """
-        future: asyncio.Future[Gaussian] = asyncio.get_running_loop().create_future()
+        future: asyncio.Future[Prediction] = asyncio.get_running_loop().create_future()
 
         def callback(outcome: Outcome) -> None:
             """Settle the future."""
@@ -72,9 +72,9 @@ class MicroBatcher:
                 future.set_result(outcome)
 
         self.submit(query, callback)
-        mean, std, seconds = await future
+        found, seconds = await future
         record_timing("inference", seconds)
-        return query.encode(mean, std)
+        return query.encode(found)
 
     def flush(self) -> None:
         """Predict the waiting pushes now."""
@@ -133,8 +133,8 @@ def _settle(group: Sequence[_Waiting]) -> None:
         else:
             _call(group[0][1], error)
         return
-    for (_, callback), gaussian in zip(group, found, strict=True):
-        _call(callback, gaussian)
+    for (_, callback), prediction in zip(group, found, strict=True):
+        _call(callback, prediction)
 
 
 def _call(callback: Callback, outcome: Outcome) -> None:
@@ -146,11 +146,13 @@ def _call(callback: Callback, outcome: Outcome) -> None:
         logger.exception("an answer was lost")
 
 
-def _predict(queries: Sequence[Query]) -> list[Gaussian]:
+def _predict(queries: Sequence[Query]) -> list[Prediction]:
     began = time.perf_counter()
-    mean, std = predict(queries[0].model, *_together(queries))
+    found = predict(queries[0].model, *_together(queries))
     seconds = time.perf_counter() - began
-    return [(mean[row : row + 1], std[row : row + 1], seconds) for row in range(len(queries))]
+    if len(queries) == 1:
+        return [(found, seconds)]
+    return [(found.rows(slice(row, row + 1)), seconds) for row in range(len(queries))]
 
 
 def _together(queries: Sequence[Query]) -> tuple[FloatArray, ContextBatch]:
@@ -159,10 +161,10 @@ def _together(queries: Sequence[Query]) -> tuple[FloatArray, ContextBatch]:
     if len(queries) == 1:
         return queries[0].pushers, first
     pushers = np.concatenate([query.pushers for query in queries])
-    if first.tensor is None:
+    if not first.tensors:
         return pushers, first
-    distinct = {id(query.contexts.tensor): query.contexts.tensor for query in queries}
+    distinct = {id(query.contexts.tensors[0]): query.contexts.tensors for query in queries}  # cached ones are the same
     order = {key: number for number, key in enumerate(distinct)}
-    tensor = np.concatenate([known for known in distinct.values() if known is not None])
-    index = np.array([order[id(query.contexts.tensor)] for query in queries], dtype=np.int64)
-    return pushers, ContextBatch(first.kind, tensor, index, first.where)
+    tensors = tuple(map(np.concatenate, zip(*distinct.values(), strict=True)))
+    index = np.array([order[id(query.contexts.tensors[0])] for query in queries], dtype=np.int64)
+    return pushers, ContextBatch(first.kind, tensors, index, first.where)

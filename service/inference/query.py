@@ -14,7 +14,7 @@ import numpy as np
 from service.errors import ContextKindError
 from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, IndexArray
 from service.observability.timings import record_timing
 from service.pushing.poses import wrap_angles
 
@@ -43,19 +43,24 @@ class ContextBatch:
 
     Attributes:
         kind: kind of every context in the batch.
-        tensor: (g, ...) float32, the distinct contexts. None for kind ``none``.
+        tensors: (g, ...) float32 each, the distinct contexts in the order of a model's inputs. Empty for kind ``none``.
         index: (n,) int64, the context of each push. None for kind ``none``.
         where: field of the request that has the contexts, for errors.
     """
 
     kind: ContextKind
-    tensor: FloatArray | None
+    tensors: tuple[FloatArray, ...]
     index: IndexArray | None
     where: str
 
+    @property
+    def count(self) -> int:
+        """Return the number of distinct contexts."""
+        return len(self.tensors[0]) if self.tensors else 0
 
-def predict(model: LoadedModel, pushers: FloatArray, contexts: ContextBatch) -> tuple[FloatArray, FloatArray]:
-    """Return mean and std (n, 3) of pushes (n, 3), in m, m, rad in the object frame, with angles in (-pi, pi].
+
+def predict(model: LoadedModel, pushers: FloatArray, contexts: ContextBatch) -> Gaussians:
+    """Return the Gaussians of pushes (n, 3 or 4), in m, m, rad in the object frame, with angles in (-pi, pi].
 
     Raises:
         ContextKindError: the contexts are not of the kind that the model takes.
@@ -67,17 +72,19 @@ def predict(model: LoadedModel, pushers: FloatArray, contexts: ContextBatch) -> 
         accepted = f"a context of kind {manifest.context_kind} for {manifest.name}"
         raise ContextKindError.at(contexts.where, f"kind {contexts.kind}", accepted)
     began = time.perf_counter()
-    if len(pushers) == 1 and (contexts.tensor is None or len(contexts.tensor) == 1):
-        mean, std = model.predictor.predict(pushers, contexts.tensor, contexts.index)
+    tensors = contexts.tensors
+    if len(pushers) == 1 and (not tensors or len(tensors[0]) == 1):
+        found = model.predictor.predict(pushers, tensors, contexts.index)
     else:
-        mean, std = predict_in_pieces(model, pushers, contexts.tensor, contexts.index)
+        found = predict_in_pieces(model, pushers, tensors, contexts.index)
     record_timing("inference", time.perf_counter() - began)
-    angles = mean[:, 2]
+    angles = found.mean[:, 2]
     inside = -_LARGEST_ANGLE <= angles[0] <= _LARGEST_ANGLE if len(angles) == 1 else _all_inside(angles)
     if not inside:
-        mean = mean.copy()
+        mean = found.mean.copy()
         mean[:, 2] = np.clip(wrap_angles(angles.astype(np.float64)), -_LARGEST_ANGLE, _LARGEST_ANGLE)
-    return mean, std
+        found = found._replace(mean=mean)
+    return found
 
 
 def _all_inside(angles: FloatArray) -> bool:
@@ -89,7 +96,7 @@ class Query(ABC):
     """A query: pushes for one model. Each protocol encodes the answer in its own way."""
 
     model: LoadedModel
-    pushers: FloatArray  # (n, 3), in the object frame
+    pushers: FloatArray  # (n, 3) poses in the object frame, or (n, 4) with lengths
     contexts: ContextBatch
 
     def answer(self) -> Answer:
@@ -98,10 +105,10 @@ class Query(ABC):
         Raises:
             ContextKindError, PredictionError: see ``predict``.
         """
-        return self.encode(*self.predict())
+        return self.encode(self.predict())
 
-    def predict(self) -> tuple[FloatArray, FloatArray]:
-        """Return mean and std (n, 3): the part that a thread does while the event loop goes on.
+    def predict(self) -> Gaussians:
+        """Return the predictions: the part that a thread does while the event loop goes on.
 
         Raises:
             ContextKindError, PredictionError: see ``predict``.
@@ -110,10 +117,9 @@ class Query(ABC):
 
     def seconds(self) -> float:
         """Return a bound of the time that the runtime takes, by the measured cost of the version, in s."""
-        contexts = 0 if self.contexts.tensor is None else len(self.contexts.tensor)
-        return self.model.cost.seconds_of(len(self.pushers), contexts)
+        return self.model.cost.seconds_of(len(self.pushers), self.contexts.count)
 
     @abstractmethod
-    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
-        """Encode mean and std (n, 3) as an answer."""
+    def encode(self, found: Gaussians) -> Answer:
+        """Encode predictions as an answer."""
         ...

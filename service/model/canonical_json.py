@@ -15,6 +15,9 @@ from json.encoder import encode_basestring
 def canonical(document: object) -> bytes:
     """Return the text of a document of dataclasses, mappings, sequences, texts, numbers, booleans and None.
 
+    A field of a dataclass that is None, and None unless it is given, is left out. So fields can be added without a
+    change of older texts.
+
     Raises:
         ValueError: a number is not finite, or a text is not valid Unicode.
         TypeError: the document holds a value of another type.
@@ -40,7 +43,8 @@ def _text(value: object, margin: str) -> str:
     if isinstance(value, Mapping):
         items: Iterable[tuple[str, object]] = sorted(value.items())
     elif is_dataclass(value) and not isinstance(value, type):
-        items = [(name, getattr(value, name)) for name in _sorted_names(type(value))]
+        found = ((name, getattr(value, name), optional) for name, optional in _sorted_fields(type(value)))
+        items = [(name, part) for name, part, optional in found if part is not None or not optional]
     else:
         raise TypeError(f"{type(value).__name__} has no canonical text")
     return _lines("{", [f"{encode_basestring(name)}: {_text(part, inner)}" for name, part in items], "}", margin)
@@ -60,5 +64,6 @@ def _lines(opening: str, parts: list[str], closing: str, margin: str) -> str:
 
 
 @cache
-def _sorted_names(kind: type) -> list[str]:
-    return sorted(field.name for field in fields(kind))
+def _sorted_fields(kind: type) -> list[tuple[str, bool]]:
+    """Return the names of the fields in order, each with True for one that is None unless it is given."""
+    return sorted((field.name, field.default is None) for field in fields(kind))

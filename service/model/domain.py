@@ -30,8 +30,8 @@ class Domain(Protocol):
         """Return the inputs that a graph of this context kind must have, in order."""
         ...
 
-    def outputs(self) -> tuple[Tensor, ...]:
-        """Return the outputs that every graph must have, in order."""
+    def outputs(self, kind: ContextKind, manifest_format: int) -> tuple[tuple[Tensor, ...], ...]:
+        """Return the outputs that a graph may have: each possibility has them in order."""
         ...
 
     def gates(self, model: LoadedModel) -> Iterable[Verdict]:

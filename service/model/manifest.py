@@ -8,9 +8,12 @@ Every format that was published can be read for ever:
 
 1. The fields below, without a digest of its own.
 2. As format 1, with ``sha256``, the digest of the canonical text without it, so that every changed bit is found.
+3. As format 2, with ``validity``, and in ``calibration`` the scale of the deviations and the shares of joint regions.
+   The graph has a third output, ``unfamiliarity``, if the manifest declares it. All three are optional.
 """
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Annotated, Final, Self
@@ -23,14 +26,15 @@ from service.model.reference import MAX_VERSION, NAME_PATTERN
 from service.model.strict_json import check_text, read_json
 from service.model.tensors import ContextKind, Tensor
 
-FORMAT: Final = 2  # of every manifest that is written
-FORMATS: Final = (1, 2)  # of manifests that are read
+FORMAT: Final = 3  # of every manifest that is written
+FORMATS: Final = (1, 2, 3)  # of manifests that are read
 MANIFEST_FILE: Final = "manifest.json"
 MODEL_FILE: Final = "model.onnx"
 CARD_FILE: Final = "card.md"
 MAX_MANIFEST_BYTES: Final = 1 << 20
 MAX_ENTRIES: Final = 1000  # of a recipe, and of the set-ups that were measured
 MAX_SELF_CHECK_ROWS: Final = 256
+_OPTIONAL_SINCE: Final = 3
 _DIGEST_KEY: Final = "sha256"
 _VERSION_LINE: Final = b'\n  "version": '  # follows the digest. No text contains it, because JSON escapes line ends.
 _LARGEST: Final = 2**63
@@ -66,7 +70,8 @@ class FileDigest:
 class SelfCheck:
     """Stored input and the output that belongs to it, within an absolute tolerance in SI units.
 
-    A row of ``context`` is one object's indicator (36) or visual context (1,024, row by row).
+    A row of ``context`` is one object's tensors, flattened, one after the other in the order of the inputs: an
+    indicator (36), a visual context (1,024, row by row), or a shape's silhouette, outline and body.
     """
 
     pusher: Annotated[Rows, Field(max_length=MAX_SELF_CHECK_ROWS)]
@@ -112,13 +117,29 @@ class Metrics:
 
 @dataclass(frozen=True)
 class Calibration:
-    """Share of held-out values inside the central intervals. Sharpness is the mean predicted std in m, m, rad."""
+    """Share of held-out values inside the central intervals. Sharpness is the mean predicted std in m, m, rad.
+
+    ``scale`` is the factor on every deviation that is inside the graph. ``regions`` are the shares of held-out outcomes
+    inside the joint regions of all three outputs.
+    """
 
     method: Text
     coverage_50: Number
     coverage_90: Number
     coverage_95: Number
     sharpness: Row
+    scale: Number | None = None
+    regions_50: Number | None = None
+    regions_90: Number | None = None
+    regions_95: Number | None = None
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Domain that a version vouches for: the lowest and highest value of each feature, named with its SI unit."""
+
+    ranges: Annotated[dict[Text, tuple[Number, Number]], FailFast(), Field(max_length=MAX_ENTRIES)]
+    note: Text
 
 
 @dataclass(frozen=True)
@@ -142,6 +163,7 @@ class Manifest:
     self_check: SelfCheck
     files: Annotated[dict[str, FileDigest], FailFast()]
     format: Annotated[int, Field(ge=FORMATS[0], le=FORMATS[-1])] = FORMAT
+    validity: Validity | None = None
 
     @classmethod
     def parse(cls, content: bytes) -> Self:
@@ -154,6 +176,8 @@ class Manifest:
         manifest = cls(**{field.name: getattr(document, field.name) for field in fields(cls)})
         if set(manifest.files) != {MODEL_FILE, CARD_FILE}:
             raise BrokenModelError(f"{MANIFEST_FILE}: files: expected exactly {MODEL_FILE} and {CARD_FILE}")
+        if manifest.format < _OPTIONAL_SINCE and any(_optional_parts(manifest)):
+            raise BrokenModelError(f"{MANIFEST_FILE}: format: {manifest.format} has no validity, scale or regions")
         if document.sha256 != "" if manifest.format == 1 else manifest.render() != content:
             raise BrokenModelError(f"{MANIFEST_FILE}: {_DIGEST_KEY}: not the text that was published")
         return manifest
@@ -195,13 +219,20 @@ def _read(content: bytes) -> _Document:
     return document
 
 
+def _optional_parts(manifest: Manifest) -> Iterator[bool]:
+    """Yield for each part that came with format 3 whether it is there."""
+    yield manifest.validity is not None
+    for found in manifest.calibration.values():
+        yield any(part is not None for part in (found.scale, found.regions_50, found.regions_90, found.regions_95))
+
+
 def _fault(error: ValidationError) -> str:
     """Return the first faults, or that of the format, because the format decides which fields there are."""
     found = error.errors(include_url=False, include_input=False)
     if found[0]["type"] == "json_invalid":
         return "not a JSON document in UTF-8"
     if any(fault["loc"] in ((), ("format",)) for fault in found):
-        return f"format: this version reads formats {' and '.join(map(str, FORMATS))} only"
+        return f"format: this version reads formats {', '.join(map(str, FORMATS))} only"
     faults: dict[str, str] = {}
     for fault in found[:_MAX_FAULTS]:
         faults.setdefault(_place(fault["loc"]), _MESSAGES.get(fault["type"], fault["msg"]))

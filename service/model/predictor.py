@@ -13,7 +13,7 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 from service.errors import BrokenModelError, PredictionError
-from service.model.tensors import FloatArray, GraphSize, IndexArray, Tensor
+from service.model.tensors import FloatArray, Gaussians, GraphSize, IndexArray, Tensor
 from service.model.trial import try_out
 from service.processors import processors
 from service.turns import TURN, ending
@@ -38,13 +38,14 @@ class Predictor(Protocol):
         ...
 
     def predict(
-        self, rows: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return mean and std, both (n, outputs), of rows (n, inputs) with the contexts ``context[context_index]``.
+        self, rows: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
+        """Return the predictions of rows (n, inputs), each with the context that its index names.
 
         Args:
-            rows: (n, inputs) float32. Those of a push model are pusher poses in m, m, rad.
-            context: (g, ...) float32, the distinct contexts, or None for models without context.
+            rows: (n, inputs) float32. Those of a push model are pusher poses in m, m, rad, and for some also lengths.
+            contexts: (g, ...) float32 each, the tensors of the distinct contexts, in the order of the graph's inputs.
+                Empty for models without context.
             context_index: (n,) int64, the context of each row, or None for models without context.
 
         Raises:
@@ -67,9 +68,9 @@ class OnnxPredictor:
 
         Args:
             model: the ONNX file.
-            inputs: the inputs that the graph must have, in order: rows, and for a model with context also the contexts
-                and the index of each row's context.
-            outputs: the outputs that it must have, in order: mean and std.
+            inputs: the inputs that the graph must have, in order: rows, and for a model with context also the tensors
+                of the contexts, and the index of each row's context.
+            outputs: the outputs that it must have, in order: mean and std, and for some the unfamiliarity.
             tried: size of a graph that is on trial in this process. None: the graph is tried first.
 
         Raises:
@@ -97,8 +98,8 @@ class OnnxPredictor:
         self._padding = np.zeros((ROWS_AT_ONCE, int(inputs[0].shape[-1])), dtype=np.float32)
 
     def predict(
-        self, rows: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, rows: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``Predictor.predict``."""
         count = len(rows)
         missing = -count % ROWS_AT_ONCE
@@ -106,16 +107,16 @@ class OnnxPredictor:
             rows = np.concatenate((rows, self._padding[:missing]))
             if context_index is not None:
                 context_index = np.concatenate((context_index, _FIRST_CONTEXT[:missing]))
-        feed = dict(zip(self._inputs, (rows, context, context_index), strict=False))
+        feed = dict(zip(self._inputs, (rows, *contexts, context_index), strict=False))
         try:
-            mean, std = self._run(feed)
+            found = Gaussians(*self._run(feed))
         except Exception as error:  # see above
             raise PredictionError("the runtime could not evaluate the model") from error
         if missing:
-            mean, std = mean[:count], std[:count]
-        if not _is_gaussian(mean, std):
-            raise PredictionError("the model gave a mean or std that is not finite, or a std that is not positive")
-        return mean, std
+            found = found.rows(slice(count))
+        if not _is_gaussian(found):
+            raise PredictionError("the model gave a number that is not finite, or a std that is not positive")
+        return found
 
     def _run(self, feed: dict[str, Any]) -> Any:
         """Run the graph. In a thread whose answer becomes late the run ends at the next node of the graph."""
@@ -146,12 +147,17 @@ def _share_memory(options: onnxruntime.SessionOptions) -> None:
     options.add_session_config_entry("session.use_device_allocator_for_initializers", "1")
 
 
-def _is_gaussian(mean: FloatArray, std: FloatArray) -> bool:
+def _is_gaussian(found: Gaussians) -> bool:
     """Return whether all values are finite and every std positive. One row is checked without numpy's overhead."""
+    mean, std, unfamiliarity = found
     if len(mean) == 1:
-        means, stds = mean[0].tolist(), std[0].tolist()
-        return all(map(math.isfinite, means)) and all(map(math.isfinite, stds)) and min(stds) > 0.0
-    return bool(np.isfinite(mean).all() and np.isfinite(std).all() and (std > 0.0).all())
+        stds = std[0].tolist()
+        values = (
+            mean[0].tolist() + stds if unfamiliarity is None else mean[0].tolist() + stds + unfamiliarity[0].tolist()
+        )
+        return all(map(math.isfinite, values)) and min(stds) > 0.0
+    arrays = (mean, std) if unfamiliarity is None else (mean, std, unfamiliarity)
+    return bool(all(np.isfinite(array).all() for array in arrays) and (std > 0.0).all())
 
 
 def _check_tensors(which: str, found: list[onnxruntime.NodeArg], expected: Sequence[Tensor]) -> None:

@@ -2,12 +2,29 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 FloatArray = npt.NDArray[np.float32]
 IndexArray = npt.NDArray[np.int64]
+
+
+class Gaussians(NamedTuple):
+    """Predictions of some rows: independent Gaussians, and how far each row is from those that a version knows."""
+
+    mean: FloatArray
+    """(n, outputs) float32."""
+    std: FloatArray
+    """(n, outputs) float32, positive."""
+    unfamiliarity: FloatArray | None = None
+    """(n, 2) float32, distances of push and object, above 1 outside of the domain. None: the version has none."""
+
+    def rows(self, part: slice) -> "Gaussians":
+        """Return the predictions of some of the rows."""
+        known = self.unfamiliarity
+        return Gaussians(self.mean[part], self.std[part], None if known is None else known[part])
 
 
 class ContextKind(StrEnum):

@@ -18,6 +18,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, Final
 
@@ -125,16 +126,16 @@ def _call_s(predictor: OnnxPredictor, inputs: Sequence[Tensor], pushes: int, con
     A graph may take more than evenly more time or memory for more pushes.
     """
     rng = np.random.default_rng(0)
-    rows, *context = (
+    rows, *tensors = (
         rng.normal(0.0, 0.1, [count, *map(int, tensor.shape[1:])]).astype(np.float32)
-        for count, tensor in zip((pushes, contexts), inputs, strict=False)
+        for count, tensor in zip(chain((pushes,), repeat(contexts)), inputs[:-1] or inputs, strict=False)
     )
-    index = np.arange(pushes) % contexts if context else None
+    index = np.arange(pushes) % contexts if tensors else None
     lowest = math.inf
     for _ in range(_CALLS):
         began = time.process_time()
         try:
-            predictor.predict(rows, context[0] if context else None, index)
+            predictor.predict(rows, tuple(tensors), index)
         except PredictionError as error:
             if error.__cause__ is not None:  # the runtime failed. An answer that is no Gaussian took as long as one
                 raise

@@ -7,7 +7,7 @@ from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind, Tensor
 from service.pushing.gates import physics_gates
-from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, UNFAMILIARITY_SINCE, expected_inputs
 
 
 class PushDomain:
@@ -17,9 +17,11 @@ class PushDomain:
         """See ``Domain.inputs``."""
         return expected_inputs(kind)
 
-    def outputs(self) -> tuple[Tensor, ...]:
+    def outputs(self, kind: ContextKind, manifest_format: int) -> tuple[tuple[Tensor, ...], ...]:
         """See ``Domain.outputs``."""
-        return OUTPUTS
+        if kind is ContextKind.SHAPE:
+            return (OUTPUTS_WITH_UNFAMILIARITY,)
+        return (OUTPUTS,) if manifest_format < UNFAMILIARITY_SINCE else (OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY)
 
     def gates(self, model: LoadedModel) -> Iterable[Verdict]:
         """See ``Domain.gates``."""

@@ -18,6 +18,8 @@ _SHAPE: Final = (
 )
 _CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
 OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
+OUTPUTS_WITH_UNFAMILIARITY: Final = (*OUTPUTS, Tensor("unfamiliarity", "float32", ("n", 2), ("1", "1")))
+UNFAMILIARITY_SINCE: Final = 3  # format of the manifest from which on a graph may have that output
 
 
 def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:

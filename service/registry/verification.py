@@ -92,7 +92,7 @@ def parse_manifest(content: bytes, domain: Domain) -> Manifest:
     manifest = Manifest.parse(content)
     if manifest.inputs != domain.inputs(manifest.context_kind):
         raise BrokenModelError(f"{MANIFEST_FILE}: inputs: not the tensors of this context kind")
-    if manifest.outputs != domain.outputs():
+    if manifest.outputs not in domain.outputs(manifest.context_kind, manifest.format):
         raise BrokenModelError(f"{MANIFEST_FILE}: outputs: not the tensors of the contract")
     return manifest
 

@@ -59,7 +59,7 @@ def views() -> object:
 def pushes() -> object:
     """Predict three pieces of pushes without context."""
     model = LoadedModel(draft_manifest("push-none", ContextKind.NONE), "", FakePredictor(b"", takes_context=False))
-    return predict_in_pieces(model, np.zeros((3 * MAX_PUSHES, 3), dtype=np.float32), None, None)
+    return predict_in_pieces(model, np.zeros((3 * MAX_PUSHES, 3), dtype=np.float32), (), None)
 
 
 def objects() -> object:
@@ -67,7 +67,7 @@ def objects() -> object:
     model = LoadedModel(draft_manifest(), "", FakePredictor(b"", takes_context=True))
     count = 4 * MAX_CONTEXTS
     contexts = np.zeros((count, 36), dtype=np.float32)
-    return predict_in_pieces(model, np.zeros((count, 3), dtype=np.float32), contexts, np.arange(count))
+    return predict_in_pieces(model, np.zeros((count, 3), dtype=np.float32), (contexts,), np.arange(count))
 
 
 PAUSES = {pictures: 5, views: 3, pushes: 3, objects: 4}

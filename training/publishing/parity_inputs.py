@@ -7,27 +7,59 @@ import numpy as np
 
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import VISUAL_SIZE
+from service.pushing.outlines import Outline
 from service.pushing.poses import wrap_angles
+from service.pushing.shape_context import CORNERS, ShapeContext
 
 
 @dataclass(frozen=True)
 class Batch:
     """Inputs of a graph."""
 
-    pusher: FloatArray  # (n, 3)
-    context: FloatArray  # (g, 36) or (g, 1, 32, 32)
+    pusher: FloatArray  # (n, 3), or (n, 4) for shapes
+    contexts: tuple[FloatArray, ...]  # (g, 36), (g, 1, 32, 32), or the tensors of shapes. Empty for none
     context_index: IndexArray  # (n,)
 
 
 def plausible_batch(kind: ContextKind, pushes: int, objects: int, seed: int = 0) -> Batch:
     """Draw plausible pushes of random objects, the same for the same seed."""
     rng = np.random.default_rng(seed)
-    context = _random_views(rng, objects) if kind is ContextKind.VISUAL else _random_indicators(rng, objects)
+    contexts = _random_contexts(kind, rng, objects)
     bearing = rng.uniform(-math.pi, math.pi, pushes)
     start = 0.08 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     angle = bearing + math.pi + rng.uniform(-0.3, 0.3, pushes)
-    pusher = np.column_stack([start, wrap_angles(angle)]).astype(np.float32)
-    return Batch(pusher, context, rng.integers(objects, size=pushes))
+    columns = [start, wrap_angles(angle)]
+    if kind is ContextKind.SHAPE:
+        columns.append(rng.uniform(0.01, 0.1, pushes))
+    pusher = np.column_stack(columns).astype(np.float32)
+    return Batch(pusher, contexts, rng.integers(objects, size=pushes))
+
+
+def _random_contexts(kind: ContextKind, rng: np.random.Generator, objects: int) -> tuple[FloatArray, ...]:
+    match kind:
+        case ContextKind.NONE:
+            return ()
+        case ContextKind.INDICATOR:
+            return (_random_indicators(rng, objects),)
+        case ContextKind.VISUAL:
+            return (_random_views(rng, objects),)
+        case ContextKind.SHAPE:
+            found = [_random_shape(rng).tensors() for _ in range(objects)]
+            return tuple(map(np.stack, zip(*found, strict=True)))
+
+
+def _random_shape(rng: np.random.Generator) -> ShapeContext:
+    """Draw an outline of 3 to 64 corners around its origin, 20 to 70 mm from it, of which anything may be known."""
+    count = int(rng.integers(3, CORNERS + 1))
+    bearing = (np.arange(count) + rng.uniform(0.0, 0.8, count)) / count * 2.0 * math.pi
+    outline = Outline.of(np.stack([np.cos(bearing), np.sin(bearing)], axis=1) * rng.uniform(0.02, 0.07, (count, 1)))
+    known = rng.random(3) < 0.5
+    return ShapeContext(
+        outline,
+        (float(rng.normal(0.0, 0.005)), float(rng.normal(0.0, 0.005))) if known[0] else None,
+        float(rng.uniform(0.1, 0.5)) if known[1] else None,
+        float(rng.uniform(0.003, 0.01)) if known[2] else None,
+    )
 
 
 def _random_indicators(rng: np.random.Generator, objects: int) -> FloatArray:
@@ -56,11 +88,14 @@ def extreme_batch(kind: ContextKind) -> Batch:
     places = (-1.0, -0.05, -0.0, 1e-30, 0.05, 1.0)
     angles = (-1e3, -1.0, -math.pi, -0.0, 1e-30, math.pi, 1.0, 1e3)
     pusher = np.array([(x, y, angle) for x in places for y in places for angle in angles], dtype=np.float32)
-    plausible = plausible_batch(kind, 1, 6, seed=1).context
-    context = np.concatenate([np.zeros_like(plausible[:1]), np.ones_like(plausible[:1]), plausible])
-    return Batch(pusher, context, np.arange(len(pusher)) % len(context))
+    plausible = plausible_batch(kind, 1, 6, seed=1).contexts
+    if kind is ContextKind.SHAPE:  # there is no empty and no full shape
+        lengths = np.array((1e-6, 0.05, 1.0), dtype=np.float32)[np.arange(len(pusher)) % 3]
+        return Batch(np.column_stack([pusher, lengths]), plausible, np.arange(len(pusher)) % len(plausible[0]))
+    contexts = tuple(np.concatenate([np.zeros_like(some[:1]), np.ones_like(some[:1]), some]) for some in plausible)
+    return Batch(pusher, contexts, np.arange(len(pusher)) % (len(contexts[0]) if contexts else 1))
 
 
 def graph_inputs(batch: Batch, kind: ContextKind) -> tuple[FloatArray | IndexArray, ...]:
     """Return the arrays that a graph of this kind takes, in order."""
-    return (batch.pusher,) if kind is ContextKind.NONE else (batch.pusher, batch.context, batch.context_index)
+    return (batch.pusher,) if kind is ContextKind.NONE else (batch.pusher, *batch.contexts, batch.context_index)

@@ -13,6 +13,7 @@ import service
 from service.errors import DataError, PublishError
 from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
 from service.model.predictor import OnnxPredictor
+from service.model.self_check import flattened
 from service.model.tensors import ContextKind
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
@@ -130,13 +131,13 @@ def _self_check(model: bytes, kind: ContextKind, samples: Samples) -> SelfCheck:
     """Return a small batch with the graph's own outputs, which every load compares with. Gates turn its views."""
     batch = plausible_batch(kind, pushes=4, objects=2, seed=4)
     if kind is ContextKind.VISUAL:  # of real objects: a network learns the symmetry of those
-        batch = replace(batch, context=samples.context[:2].numpy())
-    mean, std = OnnxPredictor(model, expected_inputs(kind), OUTPUTS).predict(
-        batch.pusher, batch.context, batch.context_index
+        batch = replace(batch, contexts=(samples.context[:2].numpy(),))
+    mean, std, _ = OnnxPredictor(model, expected_inputs(kind), OUTPUTS).predict(
+        batch.pusher, batch.contexts, batch.context_index
     )
     return SelfCheck(
         pusher=batch.pusher.tolist(),
-        context=batch.context.reshape(len(batch.context), -1).tolist(),
+        context=flattened(batch.contexts),
         context_index=batch.context_index.tolist(),
         mean=mean.tolist(),
         std=std.tolist(),

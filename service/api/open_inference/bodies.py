@@ -90,11 +90,18 @@ class ModelMetadataBody(Body):
     inputs: Annotated[
         list[TensorBody],
         Field(
-            description="pusher in m, m, rad; context and context_index for models that take a context",
+            description="pusher in m, m, rad, and m for a length; the tensors of contexts and context_index for models "
+            "that take a context",
             examples=[[_METADATA_EXAMPLE]],
         ),
     ]
-    outputs: Annotated[list[TensorBody], Field(description="mean and std in m, m, rad", examples=[[_METADATA_EXAMPLE]])]
+    outputs: Annotated[
+        list[TensorBody],
+        Field(
+            description="mean and std in m, m, rad, and the unfamiliarity of newer versions",
+            examples=[[_METADATA_EXAMPLE]],
+        ),
+    ]
 
 
 class InferTensorBody(Body):
@@ -120,7 +127,7 @@ class InferInputBody(Body):
         Field(
             description="name of the tensor",
             examples=["pusher"],
-            json_schema_extra={"enum": ["pusher", "context", "context_index"]},
+            json_schema_extra={"enum": ["pusher", "context", "silhouette", "outline", "body", "context_index"]},
         ),
     ]
     datatype: Annotated[Literal["FP32", "INT64"], Field(description="INT64 for context_index", examples=["FP32"])]
@@ -151,7 +158,11 @@ class OutputBody(Body):
 
     name: Annotated[
         str,
-        Field(description="mean or std, each once", examples=["mean"], json_schema_extra={"enum": ["mean", "std"]}),
+        Field(
+            description="an output of the model, each once",
+            examples=["mean"],
+            json_schema_extra={"enum": ["mean", "std", "unfamiliarity"]},
+        ),
     ]
     parameters: Annotated[
         Parameters | None, Field(description="binary_data: send it as raw bytes", examples=[{"binary_data": False}])
@@ -177,16 +188,16 @@ class InferRequestBody(Body):
         FailFast(),
         Field(
             min_length=1,
-            max_length=3,
-            description="pusher, and for models that take a context also context and context_index; context_index may "
-            "be left out if there is one context, or one per push",
+            max_length=5,
+            description="pusher, and for models that take a context also context, or silhouette, outline and body of "
+            "shapes, and context_index; context_index may be left out if there is one context, or one per push",
             examples=[[_PUSHER_EXAMPLE]],
         ),
     ]
     outputs: Annotated[
         list[OutputBody] | None,
         FailFast(),
-        Field(max_length=2, description="outputs to return; left out: mean and std", examples=[[{"name": "mean"}]]),
+        Field(max_length=3, description="outputs to return; left out: all of the model", examples=[[{"name": "mean"}]]),
     ] = None
 
 

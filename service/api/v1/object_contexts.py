@@ -19,7 +19,7 @@ MAX_IMAGES: Final = 16  # per batch: each keeps a thread busy for milliseconds, 
 _CACHED_DESCRIPTORS: Final = 4096  # Omnipush has 250 objects
 _PART: Final = 256  # contexts between two pauses: other work waits for a millisecond
 _FIELD: Final = "body.context"
-_NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, None, None, _FIELD)
+_NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, (), None, _FIELD)
 
 
 def encode_context(context: ContextBody | None) -> ContextBatch:
@@ -28,7 +28,10 @@ def encode_context(context: ContextBody | None) -> ContextBatch:
     Raises:
         RequestError: the context is not valid.
     """
-    return _NO_CONTEXT if context is None else ContextBatch(*_encode(context, _FIELD), FIRST_CONTEXT, _FIELD)
+    if context is None:
+        return _NO_CONTEXT
+    kind, tensor = _encode(context, _FIELD)
+    return ContextBatch(kind, (tensor,), FIRST_CONTEXT, _FIELD)
 
 
 def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | None) -> ContextBatch:
@@ -39,7 +42,7 @@ def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | 
     """
     where = "body.contexts"
     if contexts is None or index is None:
-        return ContextBatch(ContextKind.NONE, None, None, where)
+        return ContextBatch(ContextKind.NONE, (), None, where)
     if sum(context.image is not None for context in contexts) > MAX_IMAGES:
         accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
         raise InvalidRequestError.at(where, f"more than {MAX_IMAGES} images", accepted)
@@ -65,7 +68,7 @@ def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | 
             if descriptor is not None:
                 known[descriptor] = place
         renumbered[number] = place
-    return ContextBatch(found or ContextKind.NONE, tensors[:count], renumbered[index], where)
+    return ContextBatch(found or ContextKind.NONE, (tensors[:count],), renumbered[index], where)
 
 
 def encode_image(image: bytes, index: IndexArray) -> ContextBatch:
@@ -74,7 +77,7 @@ def encode_image(image: bytes, index: IndexArray) -> ContextBatch:
     Raises:
         ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
     """
-    return ContextBatch(ContextKind.VISUAL, read_view(image).tensor()[None], index, "body.image")
+    return ContextBatch(ContextKind.VISUAL, (read_view(image).tensor()[None],), index, "body.image")
 
 
 def read_view(image: bytes) -> VisualContext:

@@ -14,7 +14,7 @@ from service.api.v1.object_contexts import encode_context, encode_contexts, enco
 from service.inference.query import FIRST_CONTEXT, Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
-from service.model.tensors import FloatArray
+from service.model.tensors import FloatArray, Gaussians
 from service.pushing.poses import DoubleArray, into_world_frame
 from service.schemas.contexts import describe_context
 from service.schemas.pushes import BatchRequest, Prediction, PredictRequest
@@ -31,10 +31,11 @@ class JsonQuery(Query):
     frames: DoubleArray | None  # object poses in the world, (1, 3) or (n, 3)
     render: Render
 
-    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+    def encode(self, found: Gaussians) -> Answer:
         """See ``Query.encode``."""
         name, version = self.model.manifest.name, self.model.manifest.version
         document: dict[str, object] = {"model": {"name": name, "version": version}}
+        mean, std = found.mean, found.std
         if self.frames is None:
             document |= {"frame": "object", **self.render(mean, std, None)}
         else:

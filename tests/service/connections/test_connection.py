@@ -28,7 +28,7 @@ from service.connections.unsent import PairedWrites
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind, FloatArray
+from service.model.tensors import ContextKind, Gaussians
 from service.observability.logs import RequestLog
 from service.observability.metrics import RequestMetrics
 from service.observability.telemetry import RequestTelemetry
@@ -480,7 +480,7 @@ def test_a_bug_of_the_shortcut_is_logged_and_answered_with_a_500(
 class Unencodable(Query):
     """A query whose answer cannot be encoded."""
 
-    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+    def encode(self, found: Gaussians) -> Answer:
         """Raise an exception that is not of our tree."""
         raise ZeroDivisionError("the fake has a bug")
 
@@ -490,7 +490,7 @@ def test_an_answer_that_cannot_be_encoded_is_a_500(
 ) -> None:
     """A bug in the encoding of an answer must not leave the client waiting."""
     model = models.snapshot.find(ModelReference.parse("push-none"))
-    contexts = ContextBatch(ContextKind.NONE, None, None, "body.context")
+    contexts = ContextBatch(ContextKind.NONE, (), None, "body.context")
     query = Unencodable(model, np.zeros((1, 3), dtype=np.float32), contexts)
     shortcut = shortcut_only(models, endpoint=replace(SINGLE, ask=lambda *_: query))
     received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))

@@ -3,18 +3,15 @@
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
-from service.model.predictor import ROWS_AT_ONCE, OnnxPredictor, Predictor
+from service.model.predictor import ROWS_AT_ONCE, Predictor
 from service.model.push_cost import MAX_CONTEXTS, MAX_PUSHES, PIECE_BYTES, PIECE_S, PieceLimits, PushCost
-from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
-from service.registry.loading import load_version
-from service.registry.registry import Registry
-from tests.fakes import FakePredictor
+from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray
+from tests.fakes import FakePredictor, draft_manifest
+from tests.served_graphs import random_question, served_predictor
 
 SIZES = [(1, 1), (5, 1), (1024, 64), (1025, 1), (1500, 65), (3000, 7), (2500, 2500), (3, 900)]  # pushes and contexts
 
@@ -32,33 +29,21 @@ class Recording:
         return self.predictor.size
 
     def predict(
-        self, rows: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, rows: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``service.model.predictor.Predictor``."""
-        self.calls.append((len(rows), 0 if context is None else len(context)))
-        return self.predictor.predict(rows, context, context_index)
-
-
-def question(kind: ContextKind, pushes: int, contexts: int) -> tuple[FloatArray, FloatArray | None, IndexArray | None]:
-    """Return random pushes (n, 3), contexts, and an index that refers to some of the contexts in any order."""
-    rng = np.random.default_rng(pushes + contexts)
-    pushers = rng.uniform([-0.1, -0.1, -3.1], [0.1, 0.1, 3.1], (pushes, 3)).astype(np.float32)
-    if kind is ContextKind.NONE:
-        return pushers, None, None
-    shape = (INDICATOR_LENGTH,) if kind is ContextKind.INDICATOR else (1, VISUAL_SIZE, VISUAL_SIZE)
-    return pushers, rng.random((contexts, *shape), dtype=np.float32), rng.integers(contexts, size=pushes)
+        self.calls.append((len(rows), len(contexts[0]) if contexts else 0))
+        return self.predictor.predict(rows, contexts, context_index)
 
 
 @pytest.fixture(scope="module")
 def shipped(project_root: Path) -> dict[ContextKind, LoadedModel]:
-    """Return a version of each kind that ships."""
-    registry = Registry(project_root / "models")
-    names = {kind: f"push-{kind}" for kind in ContextKind}
+    """Return a version of each kind: one that ships, and the small graph of shapes."""
     return {
-        kind: replace(
-            load_version(registry, OnnxPredictor, name, registry.versions(name)[-1]), cost=PushCost(4, 2, 1e-4)
+        kind: LoadedModel(
+            draft_manifest(f"push-{kind}", kind), "", served_predictor(project_root, kind), PushCost(4, 2, 1e-4)
         )
-        for kind, name in names.items()
+        for kind in ContextKind
     }
 
 
@@ -70,12 +55,15 @@ def test_pieces_are_bounded_and_give_the_same_bits(
     """For every model that ships each call is within the limits, and all predictions are those of one call."""
     recording = Recording(shipped[kind].predictor)
     model = replace(shipped[kind], predictor=recording)
-    asked = question(kind, pushes, contexts)
+    asked = random_question(kind, pushes, contexts)
 
     found = predict_in_pieces(model, *asked)
 
     whole = recording.predictor.predict(*asked)
-    assert [part.tobytes() for part in found] == [part.tobytes() for part in whole]
+    assert [part.tobytes() for part in found if part is not None] == [
+        part.tobytes() for part in whole if part is not None
+    ]
+    assert (found.unfamiliarity is None) == (whole.unfamiliarity is None)
     limits = PieceLimits.of(model.predictor.size, model.cost)
     assert all(rows <= limits.pushes and objects <= limits.contexts for rows, objects in recording.calls)
     assert sum(rows for rows, _ in recording.calls) == pushes
@@ -110,5 +98,5 @@ def test_a_context_is_encoded_once(shipped: dict[ContextKind, LoadedModel]) -> N
     """Pushes are ordered by their contexts, so each context is in one piece, unless its pushes fill several."""
     recording = Recording(FakePredictor(b"", takes_context=True))
     model = replace(shipped[ContextKind.INDICATOR], predictor=recording)
-    predict_in_pieces(model, *question(ContextKind.INDICATOR, 3000, 640))
+    predict_in_pieces(model, *random_question(ContextKind.INDICATOR, 3000, 640))
     assert sum(objects for _, objects in recording.calls) <= 640

@@ -9,7 +9,7 @@ import pytest
 from service.inference import probing
 from service.inference.probing import Key, Probing
 from service.model.loaded_model import LoadedModel
-from service.model.tensors import FloatArray, IndexArray
+from service.model.tensors import FloatArray, Gaussians, IndexArray
 from tests.fakes import FakePredictor, Panic, draft_manifest
 
 
@@ -22,13 +22,13 @@ class Held(FakePredictor):
         self.error = error
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``FakePredictor``."""
         self.released.wait()
         if self.error is not None:
             raise self.error
-        return super().predict(pusher, context, context_index)
+        return super().predict(pusher, contexts, context_index)
 
 
 def loaded(version: int, predictor: FakePredictor) -> tuple[Key, LoadedModel]:

@@ -10,14 +10,14 @@ from service.errors import ContextKindError
 from service.inference.loaded_models import LoadedModels
 from service.inference.query import Answer, ContextBatch, Query, predict
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray
 from service.observability.timings import Timings, collect_timings
 from service.pushing.contexts import ObjectContext
 from tests.fakes import SMALL, STD, fake_models, predict_push
 
 CHAMPION = ModelReference.parse("push-indicator")
 OBJECT = ObjectContext.from_descriptor("1a2b3c4a")
-NO_CONTEXT = ContextBatch(ContextKind.NONE, None, None, "body.context")
+NO_CONTEXT = ContextBatch(ContextKind.NONE, (), None, "body.context")
 
 
 @pytest.fixture(scope="module")
@@ -51,12 +51,12 @@ class TurningPredictor:
     size: GraphSize = SMALL
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """Return the given angles."""
         mean = np.zeros((len(self.angles), 3), dtype=np.float32)
         mean[:, 2] = self.angles
-        return mean, np.ones_like(mean)
+        return Gaussians(mean, np.ones_like(mean))
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ class TurningPredictor:
 def test_angles_of_means_are_wrapped(models: LoadedModels, angles: list[float], expected: list[float]) -> None:
     """Every angle lies within float64's -pi to pi, though float32's pi is beyond it."""
     model = replace(models.snapshot.find_default(ContextKind.NONE), predictor=TurningPredictor(angles))
-    mean, _ = predict(model, np.zeros((len(angles), 3), dtype=np.float32), NO_CONTEXT)
+    mean, *_ = predict(model, np.zeros((len(angles), 3), dtype=np.float32), NO_CONTEXT)
     assert np.cos(mean[:, 2]) == pytest.approx(np.cos(expected), abs=1e-6)
     assert np.abs(mean[:, 2]) == pytest.approx(np.abs(expected), abs=1e-6)
     assert (np.abs(mean[:, 2].astype(np.float64)) <= math.pi).all()
@@ -82,7 +82,7 @@ def test_angles_of_means_are_wrapped(models: LoadedModels, angles: list[float], 
 
 def test_a_wrong_kind_of_context_names_its_field(models: LoadedModels) -> None:
     """The error has the field of the request that gave the contexts."""
-    contexts = ContextBatch(ContextKind.NONE, None, None, "body.contexts")
+    contexts = ContextBatch(ContextKind.NONE, (), None, "body.contexts")
     with pytest.raises(ContextKindError, match=r"^body\.contexts: received kind none"):
         predict(models.snapshot.find(CHAMPION), np.zeros((1, 3), dtype=np.float32), contexts)
 
@@ -91,9 +91,9 @@ def test_a_wrong_kind_of_context_names_its_field(models: LoadedModels) -> None:
 class TextQuery(Query):
     """A query whose answer is the number of pushes as text."""
 
-    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+    def encode(self, found: Gaussians) -> Answer:
         """See ``Query.encode``."""
-        return Answer(b"%d" % len(mean), headers=((b"content-type", b"text/plain"),))
+        return Answer(b"%d" % len(found.mean), headers=((b"content-type", b"text/plain"),))
 
 
 def test_a_query_is_predicted_encoded_and_timed(models: LoadedModels) -> None:

@@ -13,7 +13,7 @@ from service.app import create_app
 from service.errors import ModelNotReadyError, PredictionError
 from service.inference.loaded_models import LoadedModels
 from service.inference.readiness import Readiness
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, IndexArray
 from service.registry.registry import Registry
 from service.settings import Settings
 from tests.fakes import LYING, FakePredictor, load_fake, publish_fake
@@ -27,8 +27,8 @@ class FaultyPredictor(FakePredictor):
     released: threading.Event = field(default_factory=threading.Event)
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``FakePredictor``."""
         if "fails" in self.fault:
             raise PredictionError("the runtime could not evaluate the model")
@@ -36,8 +36,8 @@ class FaultyPredictor(FakePredictor):
             raise ZeroDivisionError
         if "hangs" in self.fault:
             self.released.wait()
-        mean, std = super().predict(pusher, context, context_index)
-        return (mean + 1.0, std) if "lies" in self.fault else (mean, std)
+        found = super().predict(pusher, contexts, context_index)
+        return found._replace(mean=found.mean + 1.0) if "lies" in self.fault else found
 
 
 @pytest.fixture
@@ -159,7 +159,9 @@ def test_no_default_model_is_not_ready(tmp_path: Path) -> None:
     registry = Registry(tmp_path / "models")
     publish_fake(registry, "zzz")
     publish_fake(registry, alias="canary")
-    assert "no default model has a champion (push-none, push-indicator, push-visual)" in str(verdict(registry))
+    assert "no default model has a champion (push-none, push-indicator, push-visual, push-shape)" in str(
+        verdict(registry)
+    )
     registry.point_alias("push-indicator", "champion", 1)
     assert verdict(registry) is None
     registry.drop_alias("push-indicator", "champion")

@@ -9,11 +9,13 @@ import pytest
 from pydantic import ValidationError
 
 from service.errors import BrokenModelError
-from service.model.manifest import CARD_FILE, MODEL_FILE, FileDigest, Manifest
+from service.model.manifest import CARD_FILE, MODEL_FILE, Calibration, FileDigest, Manifest, Validity
 from service.model.tensors import ContextKind
 from tests.fakes import draft_manifest
 
 DIGEST = FileDigest.of(b"content")
+VALIDITY = Validity({"length_m": (0.005, 0.1)}, "every start")
+SCALED = Calibration("conformal", 0.5, 0.9, 0.95, [0.001, 0.001, 0.01], 1.2, 0.5, 0.9, 0.95)
 
 
 def whole(kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
@@ -36,6 +38,23 @@ def test_a_manifest_of_format_1_is_read_for_ever(project_root: Path) -> None:
     """A published sample of format 1 is read, and rendered to the same bytes."""
     content = (project_root / "tests" / "data" / "manifest-format-1.json").read_bytes()
     assert Manifest.parse(content).render() == content
+
+
+def test_manifests_of_format_2_are_read_for_ever(project_root: Path) -> None:
+    """Versions that were published with format 2 are read, and rendered to the same bytes."""
+    content = (project_root / "models" / "push-indicator" / "2" / "manifest.json").read_bytes()
+    assert Manifest.parse(content).format == 2
+    assert Manifest.parse(content).render() == content
+
+
+def test_a_domain_and_joint_regions_survive_the_round_trip() -> None:
+    """What came with format 3 is written if it is there, and left out if it is not."""
+    manifest = replace(whole(ContextKind.SHAPE), validity=VALIDITY, calibration={"all": SCALED})
+    assert Manifest.parse(manifest.render()) == manifest
+    document = json.loads(manifest.render())
+    assert document["validity"] == {"note": "every start", "ranges": {"length_m": [0.005, 0.1]}}
+    assert document["calibration"]["all"]["scale"] == 1.2
+    assert b"validity" not in whole().render()
 
 
 def test_every_flipped_bit_of_a_manifest_is_refused() -> None:
@@ -86,8 +105,12 @@ def test_an_integer_is_a_number_where_a_fraction_is_expected() -> None:
         (b"\xff\xfe{}", "not a JSON document"),
         (b"[" * 100_000, "not a JSON document"),
         (b"[]", "format"),
-        (_changed("format", to=3), "format"),
+        (_changed("format", to=4), "format"),
         (_changed("format", to=True), "format"),
+        (_changed("validity", to={"ranges": {}}), "validity.note"),
+        (_changed("validity", to={"ranges": {"length_m": [0.0]}, "note": "none"}), "validity.ranges.length_m"),
+        (replace(whole(), format=2, validity=VALIDITY).render(), "format: 2 has no validity"),
+        (replace(whole(), format=1, calibration={"all": SCALED}).render(), "format: 1 has no validity, scale"),
         (_changed("sha256", to="0" * 64), "sha256"),
         (_changed("sha256", to=None), "sha256"),
         (_changed("recipe", "epochs", to=2), "sha256"),

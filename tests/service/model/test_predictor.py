@@ -13,11 +13,12 @@ from onnx import TensorProto, helper, numpy_helper
 from service.errors import BrokenModelError, DeadlineError, PredictionError
 from service.model.predictor import OnnxPredictor, Predictor
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind
+from service.model.tensors import ContextKind, Gaussians
 from service.pushing.contexts import ObjectContext
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 from service.transport.threads import ThreadPool
+from tests.served_graphs import random_question, served_predictor
 
 NONE, INDICATOR = ((expected_inputs(kind), OUTPUTS) for kind in (ContextKind.NONE, ContextKind.INDICATOR))
 
@@ -35,19 +36,20 @@ def predictor(shipped: bytes) -> Predictor:
     return OnnxPredictor(shipped, *INDICATOR)
 
 
-def pushes(count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def pushes(count: int) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
     """Return random pushes of three objects: pusher poses, indicators and indices."""
     rng = np.random.default_rng(0)
     pusher = rng.uniform(-0.08, 0.08, (count, 3)).astype(np.float32)
     context = np.stack(
         [ObjectContext.from_descriptor(name).indicator() for name in ("1a2b3c4a", "4a4a4a4a", "3c3a2B1a")]
     )
-    return pusher, context, rng.integers(3, size=count)
+    return pusher, (context,), rng.integers(3, size=count)
 
 
 def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) -> None:
     """A prediction has a mean and a positive std, in float32, for every push."""
-    mean, std = predictor.predict(*pushes(7))
+    mean, std, unfamiliarity = predictor.predict(*pushes(7))
+    assert unfamiliarity is None
     assert mean.shape == std.shape == (7, 3)
     assert mean.dtype == std.dtype == np.float32
     assert (std > 0).all()
@@ -73,34 +75,26 @@ def test_onnxruntime_sends_no_telemetry(project_root: Path, tmp_path: Path) -> N
     assert list(tmp_path.rglob("*")) == []
 
 
-def contexts(kind: ContextKind, count: int) -> np.ndarray | None:
-    """Return random contexts of a kind."""
-    rng = np.random.default_rng(1)
-    if kind is ContextKind.NONE:
-        return None
-    if kind is ContextKind.VISUAL:
-        return (rng.integers(0, 256, (count, 1, 32, 32)) / np.float32(255.0)).astype(np.float32)
-    names = ["".join(f"{rng.integers(1, 5)}{rng.choice(list('aabc'))}" for _ in range(4)) for _ in range(count)]
-    kept = [name for name in names if sum(letter != "a" for letter in name[1::2]) <= 2] or ["1a2b3c4a"]
-    return np.stack([ObjectContext.from_descriptor(kept[n % len(kept)]).indicator() for n in range(count)])
-
-
 @pytest.mark.parametrize("kind", list(ContextKind))
 def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: ContextKind) -> None:
     """A row gets the same bits in a batch of any size and at any place, for every model that ships."""
-    registry, name = Registry(project_root / "models"), f"push-{kind}"
-    predictor = OnnxPredictor(registry.read(name, registry.versions(name)[-1]).model, expected_inputs(kind), OUTPUTS)
-    rng, tensor = np.random.default_rng(2), contexts(kind, 30)
-    pusher = rng.uniform([-0.1, -0.1, -3.1], [0.1, 0.1, 3.1], (600, 3)).astype(np.float32)
-    index = rng.integers(0, 30, 600)
-    together = np.stack(predictor.predict(pusher, tensor, index), axis=1)
+    predictor, rng = served_predictor(project_root, kind), np.random.default_rng(2)
+    pusher, contexts, index = random_question(kind, 600, 30)
+    together = joined(predictor.predict(pusher, contexts, index))
 
     for count in [*range(1, 34), 63, 250, 255]:
         rows = rng.choice(600, count, replace=False)
-        objects, places = np.unique(index[rows], return_inverse=True)
-        given = (None, None) if tensor is None else (tensor[objects], places.astype(np.int64))
-        found = np.stack(predictor.predict(pusher[rows], *given), axis=1)
-        assert found.tobytes() == together[rows].tobytes(), count
+        if index is None:
+            found = predictor.predict(pusher[rows], (), None)
+        else:
+            objects, places = np.unique(index[rows], return_inverse=True)
+            found = predictor.predict(pusher[rows], tuple(tensor[objects] for tensor in contexts), places)
+        assert joined(found).tobytes() == together[rows].tobytes(), count
+
+
+def joined(found: Gaussians) -> np.ndarray:
+    """Return all numbers of predictions (n, 6 or 8)."""
+    return np.hstack([part for part in found if part is not None])
 
 
 @pytest.mark.parametrize("model", [b"", b"not a model", b"\x08\x0a" * 50], ids=["empty", "text", "noise"])
@@ -168,7 +162,7 @@ def test_a_run_whose_answer_is_late_ends_at_the_next_node() -> None:
     def work() -> None:
         """Predict for several seconds."""
         try:
-            predictor.predict(np.ones((2000, 3), dtype=np.float32), None, None)
+            predictor.predict(np.ones((2000, 3), dtype=np.float32), (), None)
         except PredictionError:
             outcomes.append("ended early")
         else:

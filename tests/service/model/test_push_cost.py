@@ -9,7 +9,7 @@ import pytest
 
 from service.model.push_cost import PushCost
 from service.model.self_check import measure_cost
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, IndexArray
 from tests.fakes import FakePredictor, draft_manifest
 
 
@@ -47,11 +47,11 @@ class SlowPredictor(FakePredictor):
     seconds: Sequence[float] = (0.0,)
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``FakePredictor``."""
         time.sleep(self.seconds[min(len(self.calls), len(self.seconds) - 1)])
-        return super().predict(pusher, context, context_index)
+        return super().predict(pusher, contexts, context_index)
 
 
 def test_the_self_check_measures_the_lowest_of_several_calls() -> None:

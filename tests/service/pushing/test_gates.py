@@ -9,7 +9,7 @@ import pytest
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
-from service.model.tensors import ContextKind, FloatArray, GraphSize, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
 from service.pushing.gates import physics_gates
 from tests.fakes import SMALL, draft_manifest
@@ -26,16 +26,16 @@ class Physics:
     size: GraphSize = SMALL
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``service.model.predictor.Predictor``."""
-        x, y, angle = pusher.astype(np.float64).T
+        x, y, angle = pusher[:, :3].astype(np.float64).T
         touches = (x * np.cos(angle) + y * np.sin(angle)) < 0.0
         if self.flaw == "no-contact":
             touches[:] = True
         motion = 0.010 * touches
-        if context is not None and context_index is not None and context.shape[-1] == SIDES * BITS_PER_SIDE:
-            concave = context.reshape(len(context), SIDES, BITS_PER_SIDE)[context_index, :, 0]
+        if len(contexts) == 1 and context_index is not None and contexts[0].shape[-1] == SIDES * BITS_PER_SIDE:
+            concave = contexts[0].reshape(-1, SIDES, BITS_PER_SIDE)[context_index, :, 0]
             facing = np.arctan2(y, x)[:, None] - np.arange(SIDES) * math.pi / 2.0
             motion = motion * (1.0 + (concave * np.maximum(np.cos(facing), 0.0)).sum(axis=1))
         if self.flaw == "angle-at-pi":
@@ -43,7 +43,7 @@ class Physics:
         mean = np.column_stack([motion * np.cos(angle), motion * np.sin(angle), np.zeros(len(x))])
         if self.flaw == "turned":
             mean[:, 0] *= 2.0
-        return mean.astype(np.float32), np.full((len(x), 3), 1e-3, dtype=np.float32)
+        return Gaussians(mean.astype(np.float32), np.full((len(x), 3), 1e-3, dtype=np.float32))
 
 
 def model(flaw: str = "", kind: ContextKind = ContextKind.INDICATOR, manifest: Manifest | None = None) -> LoadedModel:

@@ -17,7 +17,7 @@ from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.push_cost import PushCost
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, IndexArray
 from service.transport.endpoints import (
     BODY_GROWTH,
     LIGHT_PUSHES,
@@ -60,11 +60,11 @@ class NotingPredictor(FakePredictor):
     steps: Steps = field(default_factory=Steps)
 
     def predict(
-        self, pusher: FloatArray, context: FloatArray | None, context_index: IndexArray | None
-    ) -> tuple[FloatArray, FloatArray]:
+        self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+    ) -> Gaussians:
         """See ``FakePredictor``."""
         self.steps.add("predict")
-        return super().predict(pusher, context, context_index)
+        return super().predict(pusher, contexts, context_index)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +73,10 @@ class NotingQuery(Query):
 
     steps: Steps
 
-    def encode(self, mean: FloatArray, std: FloatArray) -> Answer:
+    def encode(self, found: Gaussians) -> Answer:
         """See ``Query.encode``."""
         self.steps.add("encode")
-        return Answer(b"%d" % len(mean), "push-none", 1, len(mean))
+        return Answer(b"%d" % len(found.mean), "push-none", 1, len(found.mean))
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def fake_endpoint(
 
     def ask(_models: Snapshot, pushes: int) -> Query:
         steps.add("ask")
-        contexts = ContextBatch(ContextKind.NONE, None, None, "body.context")
+        contexts = ContextBatch(ContextKind.NONE, (), None, "body.context")
         return NotingQuery(model, np.zeros((pushes, 3), dtype=np.float32), contexts, steps)
 
     return Endpoint(path, check, read, ask, lambda _: weight, lambda _: is_read_quickly)

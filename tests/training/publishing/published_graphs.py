@@ -24,8 +24,8 @@ def load_push_network(run: Path) -> PushNetwork:
 
 
 def predict_graph(
-    graph: bytes, kind: ContextKind, pusher: FloatArray, context: FloatArray, index: Sequence[int]
+    graph: bytes, kind: ContextKind, pusher: FloatArray, contexts: tuple[FloatArray, ...], index: Sequence[int]
 ) -> FloatArray:
     """Predict with onnxruntime: mean and std, (2, n, 3)."""
     predictor = OnnxPredictor(graph, expected_inputs(kind), OUTPUTS)
-    return np.stack(predictor.predict(pusher, context, np.array(index, dtype=np.int64)))
+    return np.stack(predictor.predict(pusher, contexts, np.array(index, dtype=np.int64))[:2])

@@ -50,10 +50,11 @@ def test_the_graph_takes_and_gives_si_units(
     """The graph predicts in metres and radians: the same as torch with the published normalisation around it."""
     known, batch = published_normalisation(), plausible_batch(kind, pushes=20, objects=5, seed=6)
     pusher = torch.from_numpy(((batch.pusher - known.input_mean) / known.input_std).astype(np.float32))
+    context = batch.contexts[0][batch.context_index] if batch.contexts else np.zeros((20, 36), dtype=np.float32)
     with torch.no_grad():
-        mean, log_std, _ = networks[kind](pusher[:, None], torch.from_numpy(batch.context[batch.context_index]))
+        mean, log_std, _ = networks[kind](pusher[:, None], torch.from_numpy(context))
 
-    found = predict_graph(graphs[kind], kind, batch.pusher, batch.context, batch.context_index.tolist())
+    found = predict_graph(graphs[kind], kind, batch.pusher, batch.contexts, batch.context_index.tolist())
     assert found[0] == pytest.approx(mean[:, 0].numpy() * known.output_std + known.output_mean, abs=SAME)
     assert found[1] == pytest.approx(np.exp(log_std[:, 0].numpy()) * known.output_std, abs=SAME)
 
@@ -68,15 +69,15 @@ def test_whole_turns_of_an_input_angle_do_not_matter(
     turned = batch.pusher + np.array([0.0, 0.0, 2.0 * math.pi * turns], dtype=np.float32)
 
     index = batch.context_index.tolist()
-    expected = predict_graph(graphs[kind], kind, batch.pusher, batch.context, index)
-    assert predict_graph(graphs[kind], kind, turned, batch.context, index) == pytest.approx(expected, abs=2e-5)
+    expected = predict_graph(graphs[kind], kind, batch.pusher, batch.contexts, index)
+    assert predict_graph(graphs[kind], kind, turned, batch.contexts, index) == pytest.approx(expected, abs=2e-5)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_predictions_are_gaussians_for_all_inputs(graphs: dict[ContextKind, bytes], kind: ContextKind) -> None:
     """The graph predicts finite means with angles in (-pi, pi] and positive stds, even for extreme inputs."""
     batch = extreme_batch(kind)
-    mean, std = predict_graph(graphs[kind], kind, batch.pusher, batch.context, batch.context_index.tolist())
+    mean, std = predict_graph(graphs[kind], kind, batch.pusher, batch.contexts, batch.context_index.tolist())
 
     assert np.isfinite(mean).all()
     assert (np.abs(mean[:, 2]) <= np.float32(math.pi)).all()
@@ -106,11 +107,11 @@ def test_angles_are_wrapped_and_positions_are_not(angle: float, expected: float)
 def test_a_thousand_pushes_share_one_context(graphs: dict[ContextKind, bytes], kind: ContextKind) -> None:
     """A thousand pushes with one context have the same predictions as those pushes one by one."""
     batch = plausible_batch(kind, pushes=1000, objects=1, seed=8)
-    together = predict_graph(graphs[kind], kind, batch.pusher, batch.context, [0] * 1000)
+    together = predict_graph(graphs[kind], kind, batch.pusher, batch.contexts, [0] * 1000)
 
     assert together.shape == (2, 1000, 3)
     for row in (0, 499, 999):
-        alone = predict_graph(graphs[kind], kind, batch.pusher[row : row + 1], batch.context, [0])
+        alone = predict_graph(graphs[kind], kind, batch.pusher[row : row + 1], batch.contexts, [0])
         assert alone[:, 0] == pytest.approx(together[:, row], abs=SAME)
 
 
@@ -118,13 +119,15 @@ def test_a_thousand_pushes_share_one_context(graphs: dict[ContextKind, bytes], k
 def test_a_mixed_batch_is_its_pushes_one_by_one(graphs: dict[ContextKind, bytes], kind: ContextKind) -> None:
     """Each push of a mixed batch is predicted with the context that its index names."""
     batch, index = plausible_batch(kind, pushes=6, objects=4, seed=9), [3, 0, 3, 1, 1, 0]
-    together = predict_graph(graphs[kind], kind, batch.pusher, batch.context, index)
+    together = predict_graph(graphs[kind], kind, batch.pusher, batch.contexts, index)
 
     for row, which in enumerate(index):
-        alone = predict_graph(graphs[kind], kind, batch.pusher[row : row + 1], batch.context[which : which + 1], [0])
+        alone = predict_graph(
+            graphs[kind], kind, batch.pusher[row : row + 1], (batch.contexts[0][which : which + 1],), [0]
+        )
         assert alone[:, 0] == pytest.approx(together[:, row], abs=SAME)
     same_push = np.repeat(batch.pusher[:1], 4, axis=0)
-    assert len(np.unique(predict_graph(graphs[kind], kind, same_push, batch.context, [0, 1, 2, 3])[0], axis=0)) == 4
+    assert len(np.unique(predict_graph(graphs[kind], kind, same_push, batch.contexts, [0, 1, 2, 3])[0], axis=0)) == 4
 
 
 @pytest.mark.parametrize(
@@ -197,10 +200,11 @@ def test_options_beyond_the_paper_are_part_of_the_graph(kind: ContextKind) -> No
     method = METHODS["FCN" if kind is ContextKind.NONE else "FCN + CM"]
     network = PushNetwork(method, PUSH_SHAPES[kind], circular_angle=True, least_std=0.02)
     batch = plausible_batch(kind, 2, 32)
-    network.conditioning(torch.from_numpy(batch.context))
+    for context in batch.contexts:
+        network.conditioning(torch.from_numpy(context))
     graph = export_onnx(network.eval(), kind)
     seam = np.array([(0.08, 0.01, math.pi - 1e-5), (0.08, 0.01, 1e-5 - math.pi)], dtype=np.float32)
-    found = predict_graph(graph, kind, seam, batch.context[:1], [0, 0])
+    found = predict_graph(graph, kind, seam, tuple(tensor[:1] for tensor in batch.contexts), [0, 0])
 
     assert check_parity(network, graph, kind) <= PARITY_TOLERANCE
     assert found[:, 0] == pytest.approx(found[:, 1], abs=1e-5)

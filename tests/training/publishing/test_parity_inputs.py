@@ -5,6 +5,7 @@ import pytest
 
 from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext
+from service.pushing.onnx_interface import expected_inputs
 from training.publishing.parity_inputs import extreme_batch, graph_inputs, plausible_batch
 
 
@@ -12,8 +13,8 @@ def test_plausible_batches_have_valid_objects_and_repeat() -> None:
     """A plausible batch has objects that can exist and valid indices, and repeats for the same seed."""
     batch, again, other = (plausible_batch(ContextKind.INDICATOR, 40, 7, seed) for seed in (1, 1, 2))
 
-    assert [ObjectContext.from_indicator(row.tolist()).indicator().tolist() for row in batch.context] == (
-        batch.context.tolist()
+    assert [ObjectContext.from_indicator(row.tolist()).indicator().tolist() for row in batch.contexts[0]] == (
+        batch.contexts[0].tolist()
     )
     assert (batch.pusher.shape, batch.context_index.min(), batch.context_index.max()) == ((40, 3), 0, 6)
     assert (batch.pusher == again.pusher).all()
@@ -22,7 +23,7 @@ def test_plausible_batches_have_valid_objects_and_repeat() -> None:
 
 def test_plausible_views_are_different_8_bit_images() -> None:
     """Plausible views have grey levels in steps of 1/255, no two views are alike, and none is of a single grey."""
-    views = plausible_batch(ContextKind.VISUAL, 5, 6).context
+    (views,) = plausible_batch(ContextKind.VISUAL, 5, 6).contexts
 
     assert views.shape == (6, 1, 32, 32)
     assert np.array_equal(np.round(views * 255.0).astype(np.uint8).astype(np.float32) / np.float32(255.0), views)
@@ -35,6 +36,11 @@ def test_graph_inputs_are_those_of_the_kind(kind: ContextKind) -> None:
     """The inputs of a graph are pushes alone, or pushes with contexts and the context index of each push."""
     batch = extreme_batch(kind)
 
-    assert len(graph_inputs(batch, kind)) == (1 if kind is ContextKind.NONE else 3)
-    assert batch.context_index.max() < len(batch.context)
-    assert (batch.context.min(), batch.context.max()) == (0.0, 1.0)
+    arrays = graph_inputs(batch, kind)
+    assert [(array.dtype.name, array.shape[1:]) for array in arrays] == [
+        (tensor.dtype, tensor.shape[1:]) for tensor in expected_inputs(kind)
+    ]
+    if batch.contexts:
+        assert batch.context_index.max() < len(batch.contexts[0])
+    if kind in (ContextKind.INDICATOR, ContextKind.VISUAL):
+        assert (batch.contexts[0].min(), batch.contexts[0].max()) == (0.0, 1.0)

@@ -41,10 +41,10 @@ def test_a_published_version_is_verified_and_served(
     context: ObjectContext | VisualContext = ObjectContext.from_descriptor("1a2b3c4a")
     if kind is ContextKind.VISUAL:
         context = VisualContext.from_bytes(bytes(range(256)) * 4)
-    contexts = ContextBatch(kind, None, None, "body")
+    contexts = ContextBatch(kind, (), None, "body")
     if kind is not ContextKind.NONE:
-        contexts = ContextBatch(kind, context.tensor()[None], np.zeros(1, dtype=np.int64), "body")
-    found_mean, found_std = predict(model, np.array([[-0.075, 0.01, 0.1]], dtype=np.float32), contexts)
+        contexts = ContextBatch(kind, (context.tensor()[None],), np.zeros(1, dtype=np.int64), "body")
+    found_mean, found_std, _ = predict(model, np.array([[-0.075, 0.01, 0.1]], dtype=np.float32), contexts)
 
     known = published_normalisation()
     pusher = (np.array([-0.075, 0.01, 0.1]) - known.input_mean) / known.input_std

@@ -69,16 +69,14 @@ def test_a_repeated_descriptor_is_encoded_once() -> None:
     contexts = [ContextBody(descriptor=descriptor) for descriptor in ("1a2b3c4a", "4a4a4a4a", "1a2b3c4a")]
     found = encode_contexts(contexts, np.array([2, 1, 0, 2]))
     assert found.kind is ContextKind.INDICATOR
-    assert found.tensor is not None
     assert found.index is not None
-    assert (found.tensor.shape, found.index.tolist()) == ((2, 36), [0, 1, 0, 0])
+    assert (found.tensors[0].shape, found.index.tolist()) == ((2, 36), [0, 1, 0, 0])
 
 
 def test_the_tensor_of_a_descriptor_is_cached_and_read_only() -> None:
     """Pushes with one descriptor share a tensor, so that a micro-batch has it once."""
-    first, second = (encode_context(ContextBody(descriptor="1a2b3c4a")).tensor for _ in range(2))
+    first, second = (encode_context(ContextBody(descriptor="1a2b3c4a")).tensors[0] for _ in range(2))
     assert first is second
-    assert first is not None
     assert not first.flags.writeable
 
 
@@ -86,7 +84,7 @@ def test_no_context_has_no_tensor() -> None:
     """A push or a batch without contexts has kind none, and the field for errors."""
     assert (encode_context(None).kind, encode_context(None).where) == (ContextKind.NONE, "body.context")
     found = encode_contexts(None, None)
-    assert (found.kind, found.tensor, found.index, found.where) == (ContextKind.NONE, None, None, "body.contexts")
+    assert (found.kind, found.tensors, found.index, found.where) == (ContextKind.NONE, (), None, "body.contexts")
 
 
 def test_a_faulty_descriptor_names_its_field() -> None:
