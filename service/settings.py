@@ -11,11 +11,14 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, field_validator, model_validator
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from service.model.reference import is_name
+
 PREFIX: Final = "CAZSL_"
 # Controls, separators of lines, a byte order mark, and halves of characters, from bytes that are not UTF-8.
 NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff\ud800-\udfff]")
 _LONGEST_TEXT: Final = 4096  # as long as a path may be
 _PREFIX_PATH: Final = re.compile(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)+")
+_DEFAULT_MODELS: Final = ("model_none", "model_indicator", "model_visual", "model_shape")  # by kind of context
 _ROUTES: Final = ("v1", "v2", "docs", "livez", "readyz", "metrics", "openapi.json")
 
 
@@ -27,7 +30,7 @@ def is_set(value: object) -> bool:
 class Settings(BaseSettings):
     """Settings of the service. The command line creates them, never an import."""
 
-    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="forbid", protected_namespaces=())
 
     host: Annotated[str, Field(description="Address to listen on. The default is this machine only.")] = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535, description="Port to listen on. 0 picks a free port.")] = 8000
@@ -65,6 +68,18 @@ class Settings(BaseSettings):
             description="Number of newest versions of each model to serve, besides those that aliases name.",
         ),
     ] = 8
+    model_none: Annotated[
+        str, Field(description="Model whose champion answers pushes that name no model and have no context.")
+    ] = "push-none"
+    model_indicator: Annotated[str, Field(description="Likewise with a descriptor or an indicator as context.")] = (
+        "push-indicator"
+    )
+    model_visual: Annotated[
+        str, Field(description="Likewise with a visual context, or an image without its scale.")
+    ] = "push-visual"
+    model_shape: Annotated[
+        str, Field(description="Likewise with an outline, or an image with its scale (metres_per_pixel).")
+    ] = "push-shape"
     max_body_bytes: Annotated[
         int, Field(ge=1024, le=1 << 30, description="Maximum size of a request body, in bytes. Larger bodies get 413.")
     ] = 12 << 20
@@ -187,6 +202,10 @@ class Settings(BaseSettings):
         Literal["DEBUG", "INFO", "WARNING", "ERROR"], Field(description="Lowest level that is logged.")
     ] = "INFO"
 
+    def default_models(self) -> dict[str, str]:
+        """Return the name of the default model for each kind of context."""
+        return {name.removeprefix("model_"): getattr(self, name) for name in _DEFAULT_MODELS}
+
     @model_validator(mode="before")
     @classmethod
     def _drop_empty(cls, values: dict[str, Any]) -> dict[str, Any]:
@@ -215,6 +234,14 @@ class Settings(BaseSettings):
         if prefix and (not _PREFIX_PATH.fullmatch(prefix) or prefix.split("/")[1] in _ROUTES):
             raise ValueError(f"Input should be a path such as /cazsl, and not begin with /{', /'.join(_ROUTES)}")
         return prefix
+
+    @field_validator(*_DEFAULT_MODELS)
+    @classmethod
+    def _check_model(cls, value: str) -> str:
+        """Refuse a text that names no model."""
+        if not is_name(value):
+            raise ValueError("Input should be the name of a model, such as push-shape, without an alias or a version")
+        return value
 
     @field_validator("otlp_endpoint")
     @classmethod

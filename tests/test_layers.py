@@ -13,7 +13,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
     package: frozenset(below.split())
     for package, below in {
         "service.errors": "",
-        "service.settings": "",
+        "service.settings": "service.model",
         "service.files": "",
         "service.processors": "",
         "service.turns": "",

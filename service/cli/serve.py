@@ -54,7 +54,7 @@ def serve(**options: Any) -> None:
     expect_trials()
     keys = trusted_keys(settings.require_signature)
     registry = open_registry(settings.registry, keys, settings.max_model_bytes, settings.cache)
-    models = LoadedModels(registry, OnnxPredictor, settings.newest_versions)
+    models = LoadedModels(registry, OnnxPredictor, settings.newest_versions, settings.default_models())
     trace, send_spans = _tracing(settings.otlp_endpoint)
     raise_descriptors(settings.max_connections)
     app = create_app(settings, models, RequestLog(log), trace)

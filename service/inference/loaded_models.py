@@ -15,11 +15,12 @@ import contextlib
 import logging
 import threading
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final
 
 from service.errors import BrokenModelError, CazslError, UnknownModelError
-from service.inference.snapshot import Snapshot
+from service.inference.snapshot import DEFAULT_MODELS, Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.predictor import PredictorFactory
 from service.model.reference import DEFAULT_ALIAS
@@ -59,12 +60,18 @@ class ModelCounters:
 class LoadedModels:
     """Models of a registry in memory, as a snapshot that ``refresh`` renews."""
 
-    def __init__(self, registry: Registry, load: PredictorFactory, newest_versions: int = 8) -> None:
+    def __init__(
+        self,
+        registry: Registry,
+        load: PredictorFactory,
+        newest_versions: int = 8,
+        defaults: Mapping[str, str] = DEFAULT_MODELS,
+    ) -> None:
         self._registry = registry
         self._load = load
         self._newest_versions = newest_versions
         self.counters = ModelCounters()
-        self._snapshot = Snapshot()
+        self._snapshot = Snapshot(defaults=defaults)
         self._last_fingerprint: object = None
         self._polls = 0
         self._refreshing = threading.Lock()
@@ -123,7 +130,7 @@ class LoadedModels:
                 silent[name] = found.problems[0] if found.problems else "no version is named by its champion"
         if not models and not problems:
             problems.append("the registry holds no model")
-        return Snapshot(models, aliases, tuple(problems), silent, counts)
+        return Snapshot(models, aliases, tuple(problems), silent, counts, self._snapshot.defaults)
 
     def _follow(self, name: str) -> ServedModel:
         """Return the versions and aliases of a model to serve now. A fault of any kind stays with this model."""

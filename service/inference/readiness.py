@@ -13,7 +13,6 @@ from typing import Final
 
 from service.inference.loaded_models import LoadedModels
 from service.inference.probing import Key, Probing
-from service.inference.snapshot import DEFAULT_MODELS
 from service.model.reference import DEFAULT_ALIAS
 
 DRAINING: Final = "SIGTERM was received: running requests are finished; send new ones to another instance"
@@ -79,14 +78,14 @@ class Readiness:
         snapshot, answering = self._models.snapshot, False
         if not snapshot.models:
             return "; ".join(snapshot.problems) or "no model is loaded"
-        for name in DEFAULT_MODELS.values():
+        for name in dict.fromkeys(snapshot.defaults.values()):
             version = snapshot.aliases.get((name, DEFAULT_ALIAS))
             if version is not None and (reason := self._reasons.get((name, version))) is not None:
                 return f"{name}@{version}: {reason}"
             if version is None and (reason := snapshot.silent.get(name)) is not None:
                 return f"{name}@{DEFAULT_ALIAS} does not answer: {reason}"
             answering |= version is not None
-        return None if answering else f"no default model has a champion ({', '.join(DEFAULT_MODELS.values())})"
+        return None if answering else f"no default model has a champion ({', '.join(snapshot.defaults.values())})"
 
     async def probe(self) -> None:
         """Run the self-check of every loaded version once. A failure makes a version not ready, and is not raised."""

@@ -9,8 +9,8 @@ from service.model.loaded_model import LoadedModel
 from service.model.reference import DEFAULT_ALIAS, ModelReference
 from service.model.tensors import ContextKind
 
-DEFAULT_MODELS: Final[Mapping[ContextKind, str]] = {kind: f"push-{kind}" for kind in ContextKind}
-_DEFAULTS: Final = {kind: ModelReference(name, DEFAULT_ALIAS, None) for kind, name in DEFAULT_MODELS.items()}
+DEFAULT_MODELS: Final[Mapping[str, str]] = {kind: f"push-{kind}" for kind in ContextKind}
+"""Default model for each kind of context, unless a setting names another."""
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class Snapshot:
         problems: faults of the registry in words.
         silent: models that have a champion by their record and serve none, with the reason.
         problem_counts: number of problems by model, or by an entry in a model's place.
+        defaults: name of the default model for each kind of context.
     """
 
     models: Mapping[tuple[str, int], LoadedModel] = field(default_factory=dict)
@@ -30,6 +31,7 @@ class Snapshot:
     problems: tuple[str, ...] = ("the registry was not read yet",)
     silent: Mapping[str, str] = field(default_factory=dict)
     problem_counts: Mapping[str, int] = field(default_factory=dict)
+    defaults: Mapping[str, str] = field(default_factory=lambda: DEFAULT_MODELS)
 
     def find(self, reference: ModelReference) -> LoadedModel:
         """Return the model that a reference names.
@@ -59,7 +61,7 @@ class Snapshot:
         Raises:
             UnknownModelError, ModelNotReadyError: see ``find``.
         """
-        return self.find(_DEFAULTS[kind])
+        return self.find(ModelReference(self.defaults[kind], DEFAULT_ALIAS, None))
 
     def names(self) -> list[str]:
         """Return the names of the served models, sorted."""

@@ -13,6 +13,12 @@ _MODEL_EXAMPLE = {
     "versions": [1, 2],
     "aliases": {"champion": 2},
 }
+_DEFAULTS_EXAMPLE = {
+    "none": "push-none",
+    "indicator": "push-indicator",
+    "visual": "push-visual",
+    "shape": "push-shape",
+}
 
 
 class ModelVersionBody(Body):
@@ -28,7 +34,8 @@ class ModelBody(Body):
     name: Annotated[str, Field(description="name of the model", examples=["push-indicator"])]
     method: Annotated[str, Field(description="method, a row of the paper's tables", examples=["FCN + CM + L2Reg"])]
     context_kind: Annotated[
-        str, Field(description="kind of context that it takes: none, indicator or visual", examples=["indicator"])
+        str,
+        Field(description="kind of context that it takes: none, indicator, visual or shape", examples=["indicator"]),
     ]
     versions: Annotated[
         list[int], FailFast(), Field(description="versions that are served, oldest first", examples=[[1, 2]])
@@ -42,6 +49,14 @@ class ModelsBody(Body):
     models: Annotated[
         list[ModelBody], FailFast(), Field(description="models, sorted by name", examples=[[_MODEL_EXAMPLE]])
     ]
+    defaults: Annotated[
+        dict[str, str],
+        Field(
+            description="for each kind of context the model whose champion answers if a request names no model. "
+            "A setting of the service.",
+            examples=[_DEFAULTS_EXAMPLE],
+        ),
+    ] = {}  # noqa: RUF012 (pydantic copies it)
 
 
 class ModelVersionDetailBody(Body):

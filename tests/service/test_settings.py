@@ -5,6 +5,8 @@ from pathlib import Path
 import pydantic
 import pytest
 
+from service.inference.snapshot import DEFAULT_MODELS
+from service.model.tensors import ContextKind
 from service.settings import Settings
 
 
@@ -24,13 +26,27 @@ def test_variables_of_the_environment_set_fields(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("PORT", "70000"), ("PORT", "http"), ("POLL_INTERVAL_S", "0"), ("MAX_BODY_BYTES", "-1"), ("LOG_LEVEL", "LOUD")],
+    [
+        ("PORT", "70000"),
+        ("PORT", "http"),
+        ("POLL_INTERVAL_S", "0"),
+        ("MAX_BODY_BYTES", "-1"),
+        ("LOG_LEVEL", "LOUD"),
+        ("MODEL_SHAPE", "push-shape@1"),
+    ],
 )
 def test_an_impossible_value_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, value: str) -> None:
     """A value outside of the bounds of its field is refused with the name of the field."""
     monkeypatch.setenv(f"CAZSL_{name}", value)
     with pytest.raises(pydantic.ValidationError, match=name.lower()):
         Settings()
+
+
+def test_each_kind_of_context_has_a_default_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The default models of all kinds of context are those of the code, and one setting changes one of them."""
+    assert Settings().default_models() == DEFAULT_MODELS
+    monkeypatch.setenv("CAZSL_MODEL_SHAPE", "mine")
+    assert Settings().default_models() == {**DEFAULT_MODELS, ContextKind.SHAPE: "mine"}
 
 
 def test_every_setting_is_described() -> None:

@@ -9,8 +9,8 @@ from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 
 
 def models_body(models: Snapshot) -> ModelsBody:
-    """Return every served model, sorted by name."""
-    return ModelsBody(models=[model_body(models, name) for name in models.names()])
+    """Return every served model, sorted by name, and the default model for each kind of context."""
+    return ModelsBody(models=[model_body(models, name) for name in models.names()], defaults=dict(models.defaults))
 
 
 def model_body(models: Snapshot, name: str) -> ModelBody:

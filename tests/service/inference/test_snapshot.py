@@ -1,13 +1,16 @@
 """A snapshot finds the model of a reference among the served models."""
 
+from pathlib import Path
+
 import pytest
 
 from service.errors import ModelNotReadyError, UnknownModelError
 from service.inference.loaded_models import LoadedModels
-from service.inference.snapshot import Snapshot
+from service.inference.readiness import Readiness
+from service.inference.snapshot import DEFAULT_MODELS, Snapshot
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind
-from tests.fakes import fake_models
+from tests.fakes import BROKEN, fake_models, load_fake, publish_fake
 
 NAME = "push-indicator"
 
@@ -22,6 +25,19 @@ def test_each_kind_of_context_has_its_default_model(models: LoadedModels) -> Non
     """Without a reference, the champion of the default model for the kind of context answers."""
     assert models.snapshot.find_default(ContextKind.INDICATOR).manifest.name == NAME
     assert models.snapshot.find_default(ContextKind.NONE).manifest.name == "push-none"
+
+
+def test_a_setting_names_the_default_model_of_a_kind_of_context(tmp_path: Path) -> None:
+    """The champion of the named model answers, and readiness waits for that model alone."""
+    registry, _ = fake_models(tmp_path)
+    publish_fake(registry, "mine")
+    models = LoadedModels(registry, load_fake, defaults={**DEFAULT_MODELS, ContextKind.INDICATOR: "mine"})
+    models.refresh()
+    assert models.snapshot.find_default(ContextKind.INDICATOR).manifest.name == "mine"
+    registry.point_alias("mine", "champion", publish_fake(registry, "mine", model=BROKEN, alias=None))
+    other = LoadedModels(registry, load_fake, defaults={**DEFAULT_MODELS, ContextKind.INDICATOR: "mine"})
+    other.refresh()
+    assert "mine@champion" in str(Readiness(other, 2.0, 1.0).reason())
 
 
 @pytest.mark.parametrize("text", ["nobody", f"{NAME}@9", f"{NAME}@canary"])

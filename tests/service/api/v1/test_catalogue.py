@@ -3,10 +3,14 @@
 import pytest
 from fastapi.testclient import TestClient
 
+from service.inference.snapshot import DEFAULT_MODELS
+
 
 def test_models_are_listed_with_versions_and_aliases(client: TestClient) -> None:
     """The list, one model and one version agree, and the version has its manifest and its card."""
-    listed = client.get("/v1/models").json()["models"]
+    catalogue = client.get("/v1/models").json()
+    assert catalogue["defaults"] == DEFAULT_MODELS
+    listed = catalogue["models"]
     assert [model["name"] for model in listed] == ["push-indicator", "push-none"]
     assert client.get("/v1/models/push-indicator").json() == listed[0]
     assert listed[0] == {
