@@ -21,9 +21,10 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.observability": "service.background",
         "service.model": "service.errors service.turns service.processors",
         "service.pushing": "service.errors service.turns service.model",
+        "service.silhouettes": "service.errors service.turns service.pushing",
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.files service.model service.pushing service.storage",
-        "service.schemas": "service.errors service.model service.pushing",
+        "service.schemas": "service.errors service.model service.pushing service.silhouettes",
         "service.inference": "service.errors service.turns service.model service.pushing service.storage "
         "service.registry service.background service.observability",
         "service.transport": "service.errors service.files service.turns service.processors service.inference "
@@ -32,7 +33,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.bulk": "service.errors service.files service.model service.pushing service.storage service.inference",
         "service.api": "service.errors service.inference service.schemas service.background service.observability "
         "service.transport",
-        "service.api.v1": "service.errors service.turns service.model service.pushing service.inference "
+        "service.api.v1": "service.errors service.turns service.model service.pushing service.silhouettes "
+        "service.inference "
         "service.schemas service.observability service.transport service.api",
         "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
         "service.transport service.api",
@@ -84,6 +86,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.observability": "numpy orjson prometheus_client pythonjsonlogger starlette",
         "service.model": "numpy",
         "service.pushing": "numpy",
+        "service.silhouettes": "numpy",
         "service.schemas": "numpy orjson pydantic pydantic_core",
         "service.inference": "numpy",
         "service.transport": "orjson starlette",
@@ -118,6 +121,8 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.pushing.image_files": "PIL",
         "service.pushing.images": "PIL",
         "service.pushing.image_quality": "PIL",
+        "service.silhouettes.planes": "PIL",
+        "service.silhouettes.tracing": "contourpy",
         "service.storage.bucket": "obstore",
         "service.registry.signing": "model_signing",
         "service.observability.tracing": "opentelemetry",

@@ -75,8 +75,8 @@ class ImageFile:
 
     @property
     def needed_bytes(self) -> int:
-        """Return the memory to decode the picture and to turn it to grey of 16 bits."""
-        return round(self.width * self.height * (self.pixel_bytes + 2))
+        """Return the memory to decode the picture and to turn it to grey of 16 bits, or to colour with alpha."""
+        return round(self.width * self.height * (self.pixel_bytes + 4))
 
 
 def bound_image_file(content: bytes, limits: ImageLimits, where: str) -> ImageFile:

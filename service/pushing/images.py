@@ -1,7 +1,8 @@
-"""Images: from a picture to the visual context, decoded safely, cropped and reduced to 32 x 32 grey levels.
+"""Images: pictures decoded safely, and the visual context, which is cropped and reduced to 32 x 32 grey levels.
 
 ``visual_context`` is the only conversion. The trainer calls it with arrays from disk, the service with pictures that
-``decode`` read from uploads. It computes in whole numbers, so every machine gives the same bytes.
+``decode`` read from uploads. It computes in whole numbers, so every machine gives the same bytes. ``decode_colour``
+keeps colour and alpha for ``service.silhouettes``, which finds the outline of an object.
 
 Pixels become one grey level in [0, 1] by these rules:
 
@@ -14,9 +15,10 @@ Pixels become one grey level in [0, 1] by these rules:
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,10 +43,12 @@ IMAGE_CONVENTION: Final = (
     "interpolation, mirrored at the border) and rounded to 8 bits, halves up."
 )
 _WEIGHT_BITS: Final = 18  # with 16 bits of level and twice 18 of weight, every sum is an integer below 2**53: exact
-_BAND_PIXELS: Final = 1 << 18  # turned to grey at a time
+LARGEST_COLOUR_SIDE: Final = 2048  # pixels. A larger picture is reduced by a whole factor.
+_BAND_PIXELS: Final = 1 << 18  # turned to grey, or to colour with alpha, at a time
 _GAUSSIAN_REACH: Final = 4.0  # standard deviations, as in scipy's filter
 
 Levels = npt.NDArray[np.uint8] | npt.NDArray[np.uint16]
+_Decoded = TypeVar("_Decoded")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,8 +84,36 @@ class GreyImage:
         return int(np.iinfo(self.levels.dtype).max)
 
 
+@dataclass(frozen=True, eq=False)
+class ColourImage:
+    """Image in colour, with a longer side of at most 2048 pixels, each of ``factor`` x ``factor`` pixels as sent.
+
+    Attributes:
+        levels: [rows, columns, 4], red, green, blue and alpha of 8 bits, row 0 at the top.
+        width, height: size as sent, in pixels, upright. The last column and row may lie partly beyond it.
+        factor: pixels as sent along each side of one in ``levels``.
+    """
+
+    levels: npt.NDArray[np.uint8]
+    width: int
+    height: int
+    factor: int = 1
+
+    @classmethod
+    def from_array(cls, array: npt.NDArray[Any], where: str = "image") -> Self:
+        """Create an image from grey levels [height, width], or colours [height, width, 3 or 4], of 8 bits.
+
+        Raises:
+            InvalidImageError: the array has another shape or type, or is empty.
+        """
+        if array.dtype != np.uint8 or array.size == 0 or not (array.ndim == 2 or array.shape[2:] in ((3,), (4,))):
+            received = f"an array of {array.dtype} and shape {list(array.shape)}"
+            raise InvalidImageError.at(where, received, "uint8 of [height, width], or [height, width, 3 or 4]")
+        return cls(*_colour_levels(Image.fromarray(array)))
+
+
 def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "image") -> GreyImage:  # noqa: B008 frozen
-    """Decode an untrusted PNG, JPEG or WebP file. Blocking, so call it in a thread.
+    """Decode an untrusted PNG, JPEG or WebP file to grey. Blocking, so call it in a thread.
 
     Raises:
         ImageTooLargeError: bytes, pixels, a side or the decoder's memory are over the limits.
@@ -89,13 +121,30 @@ def decode(content: bytes, limits: ImageLimits = ImageLimits(), where: str = "im
         InvalidImageError: the picture is broken, truncated or animated, or costs more than a picture needs.
         DeadlineError: see ``service.turns.pause``.
     """
+    return _decoded(content, limits, where, lambda image: GreyImage(_upright(_levels(image), _orientation(image))))
+
+
+def decode_colour(
+    content: bytes,
+    limits: ImageLimits = ImageLimits(),  # noqa: B008 frozen
+    where: str = "image",
+) -> ColourImage:
+    """Decode an untrusted PNG, JPEG or WebP file to colour and alpha. Blocking, so call it in a thread.
+
+    Grey of 16 bits becomes 8, and CMYK becomes RGB. The limits and errors are those of ``decode``.
+    """
+    return _decoded(content, limits, where, _upright_colour)
+
+
+def _decoded(content: bytes, limits: ImageLimits, where: str, convert: Callable[[Image.Image], _Decoded]) -> _Decoded:
+    """Open and load a file within its limits, and convert it."""
     file = bound_image_file(content, limits, where)
     pause(file.needed_bytes)
     with open_image_file(content, file, where) as image:
         try:
             image.load()
             check_metadata(image, where)
-            return GreyImage(_upright(_levels(image), _orientation(image)))
+            return convert(image)
         except (RequestError, MemoryError):
             raise
         except Exception as error:  # Pillow's decoders raise errors of any class, so no list of them is complete
@@ -142,6 +191,29 @@ def _band_levels(image: Image.Image) -> Levels:
     return np.asarray(image.convert("L"))
 
 
+def _upright_colour(image: Image.Image) -> ColourImage:
+    levels, width, height, factor = _colour_levels(image)
+    orientation = _orientation(image)
+    if orientation in (5, 6, 7, 8):
+        width, height = height, width
+    return ColourImage(np.ascontiguousarray(_upright(levels, orientation)), width, height, factor)
+
+
+def _colour_levels(image: Image.Image) -> tuple[npt.NDArray[np.uint8], int, int, int]:
+    """Return red, green, blue and alpha of a decoded picture, its width and height, and the factor of its reduction."""
+    width, height = image.size
+    factor = -(-max(width, height) // LARGEST_COLOUR_SIDE)
+    rows = max(1, _BAND_PIXELS // (width * factor)) * factor
+    levels = np.empty((-(-height // factor), -(-width // factor), 4), dtype=np.uint8)
+    for top in range(0, height, rows):
+        band = image.crop((0, top, width, min(height, top + rows)))
+        if band.mode.startswith("I;16"):
+            band = Image.fromarray((_band_levels(band) >> 8).astype(np.uint8))
+        found = np.asarray(band.convert("RGBA").reduce(factor))
+        levels[top // factor : top // factor + len(found)] = found
+    return levels, width, height, factor
+
+
 def _orientation(image: Image.Image) -> object:
     """Return the orientation that Pillow finds in EXIF, XMP or text. Metadata that it cannot read has none."""
     try:
@@ -150,10 +222,10 @@ def _orientation(image: Image.Image) -> object:
         return 1
 
 
-def _upright(levels: Levels, orientation: object) -> Levels:
+def _upright(levels: npt.NDArray[Any], orientation: object) -> npt.NDArray[Any]:
     """Undo the EXIF orientation (EXIF 3.0, tag 0x0112), so that row 0 and column 0 are those of the scene."""
     if orientation in (5, 6, 7, 8):
-        levels = levels.T
+        levels = levels.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):
         levels = levels[:, ::-1]
     if orientation in (3, 4, 7, 8):

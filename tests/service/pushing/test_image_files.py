@@ -275,7 +275,7 @@ def test_the_memory_of_the_decoder_is_bounded_before_it_starts(content: bytes, p
     """A picture is refused by the memory that its decoder would take: libjpeg keeps the coefficients of all scans."""
     file = bound_image_file(content, ImageLimits(), "image")
     pixels = file.width * file.height
-    assert file.needed_bytes == (pixel_bytes + 2) * pixels
+    assert file.needed_bytes == (pixel_bytes + 4) * pixels
     decode(content, ImageLimits(max_decoder_bytes=pixel_bytes * pixels))
     with pytest.raises(ImageTooLargeError, match="that may take"):
         decode(content, ImageLimits(max_decoder_bytes=pixel_bytes * (pixels - 1)))
