@@ -63,5 +63,5 @@ def test_a_registry_of_every_format_takes_new_versions(registries: Path, number:
 def test_an_unknown_format_is_refused() -> None:
     """A manifest of an unknown format is refused with the list of readable formats."""
     text = draft_manifest(NAME).render().replace(f'"format": {FORMAT}'.encode(), b'"format": 99')
-    with pytest.raises(BrokenModelError, match="format: this version reads formats 1 and 2 only"):
+    with pytest.raises(BrokenModelError, match="format: this version reads formats 1, 2, 3 only"):
         Manifest.parse(text)

@@ -33,8 +33,11 @@ class Method:
     neural_process: bool = False  # needs support pushes of the object: not zero-shot, and never served
 
     def takes(self, kind: str) -> bool:
-        """Return whether the method is trained with contexts of this kind. Methods without a context take ``none``."""
-        return (kind == ContextKind.NONE) == (self.context_use is ContextUse.NONE)
+        """Return whether the method is trained with contexts of this kind. Methods without a context take ``none``.
+
+        Shapes have a network of their own.
+        """
+        return kind != ContextKind.SHAPE and (kind == ContextKind.NONE) == (self.context_use is ContextUse.NONE)
 
 
 ANP: Final = "ANP"
