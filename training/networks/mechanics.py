@@ -1,22 +1,26 @@
 """Quasi-static mechanics as part of a network: first contact and motion of any outline, in tensors without loops.
 
-The equations are those of ``service.pushing.first_contact`` and ``service.pushing.mechanics``, in float32 and in sizes
-of the object. Everything happens in the **push frame**: origin at the centroid, x along the push, y to its left.
+The equations are those of ``service.pushing.first_contact`` and ``service.pushing.mechanics``, in float32. Results are
+in sizes of the object and in the **push frame**: origin at the centroid, x along the push, y to its left.
 
 - **First contact** is exact: the tip's centre meets an edge that is moved outward by the tip's radius, or a circle
   about a corner.
-- **Steps** are seen from the object, which rests while the tip moves and turns about it, so that the outline is
-  prepared once. A step has one evaluation: the contact is found where the tip would be half a step later if the object
-  kept the last step's motion (a midpoint rule that reuses the step before). A gap between tip and outline is taken off
-  the motion along the normal.
-- **Sticking and sliding** are one formula. With the levers a and b of normal and tangent over the moment arm, sticking
-  needs the force (1, s) for s = ((1 + a^2) y - a b x) / ((1 + b^2) x - a b y), where x and y are the advance along
-  normal and tangent. s is clipped to the friction, and the force along the normal is x / (1 + a^2 + a b s).
+- **Steps** (midpoint rule) are seen from the object, which rests while the tip moves and turns about it. So what they
+  look up is prepared once per object. Lengths are in moment arms from the centre of mass on, which leaves no factor.
+- **Nearest place**: four numbers tell how far a place is from an edge: beyond its end, before its start, outside of it,
+  and inside of it. All are linear in the place, so one product gives them for all edges, and the sum of the squares of
+  those that are positive is the squared distance.
+- **Sticking and sliding** are one formula in the frame of the contact: x along the inward normal n, y to its left. With
+  the lever (b, t) of the contact and the advance (x, y) of the tip, the force that sticks is parallel to
+  (x, y) + (b, t) (b x + t y). Its slope s is clipped to the friction. Then the force along the normal is
+  x / (1 - t (b s - t)), and the turn is that times (b s - t).
 
-Steps are unrolled, and only operators are used that ``service.model.onnx_graph`` accepts. Several assumptions on
-friction and moment arm are answered at once.
+Small tensors cost a runtime as much as large ones: the number of operators counts, so frames are changed for all
+vectors of a row together, as products of complex numbers by constant matrices (see ``_Half``). Steps are unrolled, and
+only operators are used that ``service.model.onnx_graph`` accepts.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
@@ -25,11 +29,32 @@ from torch import Tensor, nn
 
 from service.pushing.shape_context import CORNERS
 
-STEPS: Final = 8
+STEPS: Final = 6
 FAR: Final = 1e4  # sizes: where edges lie that fill an outline up
 LARGEST: Final = 1e6
 TOUCH: Final = 1e-5  # sizes: rounding must not turn a touch into a miss
 _TINY: Final = 1e-6
+_LEAST: Final = 1e-12  # moment arms: a place on the outline has a normal, too
+_INSIDE: Final = 1.001  # of two edges that share a corner, the one that a place is outside of counts as nearer
+
+
+Matrix = list[list[float]]
+_X: Final = [1.0, 0.0, 0.0, 0.0]
+_Y: Final = [0.0, 1.0, 0.0, 0.0]
+_NONE: Final = [0.0, 0.0, 0.0, 0.0]
+# From the place p of the tip and half of its advance, h, to the place m in the middle of the step, p and h.
+_ADVANCE: Final = [_X, _Y, [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+_HALF_STEP: Final = [
+    [1.0, 0.0, 1.0, 0.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0, 1.0, 0.0, 0.0],
+    [1.0, 0.0, 0.0, 0.0, 1.0, 0.0],
+    [0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+]
+_FROM_MIDDLE: Final = [[-1.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0, 0.0, 0.0]]
+# From m, p and h to p + 2 h and h. The forces are those at m.
+_WHOLE: Final = [_X, _Y, _NONE, _NONE, [0.0, 0.0, 2.0, 0.0], [0.0, 0.0, 0.0, 2.0]]
+_STEP: Final = [_NONE, _NONE, _X, _Y, [2.0, 0.0, 1.0, 0.0], [0.0, 2.0, 0.0, 1.0]]
+_FROM_START: Final = [[-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0]]
 
 
 class Mechanics(NamedTuple):
@@ -47,12 +72,29 @@ class Mechanics(NamedTuple):
     """(n, 3) motion of the centroid, and yaw in rad: (n, k, 3) for k assumptions."""
 
 
-class Outlines(NamedTuple):
-    """Edges of n outlines in the push frame."""
+class _Edges(NamedTuple):
+    """Edges of objects, in sizes from the centre of mass, in the caller's axes. One that fills up is far away."""
 
-    start: Tensor  # (n, 64, 2)
-    unit: Tensor  # (n, 64, 2) along each edge, 0 for one that fills up
-    length: Tensor  # (n, 64)
+    unit: Tensor  # (g, 64, 2) along each edge
+    outward: Tensor  # (g, 64, 2) its normal
+    along: Tensor  # (g, 64) to be added to the place along an edge, so that its middle is 0
+    height: Tensor  # (g, 64) to be added to the place along its normal, so that the edge is at 0
+    half: Tensor  # (g, 64) half of its length
+
+
+class _Lookup(NamedTuple):
+    """Tables of objects, by which the nearest place is found. Lengths are in moment arms."""
+
+    slopes: Tensor  # (g, 2, 256) of the four numbers of each edge, by the place
+    offsets: Tensor  # (g, 1, 256)
+    ways: Tensor  # (g, 64, 8) unit vectors from a place to the edge for each of the four numbers
+
+
+class _Nearest(NamedTuple):
+    """Nearest places of outlines."""
+
+    normal: Tensor  # (n, 1, 2) unit vector into the object, from the tip to the outline where it is outside
+    distance: Tensor  # (n, 1, 1) negative inside
 
 
 class PushMechanics(nn.Module):
@@ -64,159 +106,218 @@ class PushMechanics(nn.Module):
         Args:
             assumptions: (factor on the moment arm, factor on the friction) of each answer. Empty: those of the body,
                 and the motion has no axis of assumptions.
-            steps: steps of the motion in contact.
+            steps: steps of the motion in contact, with two evaluations each.
         """
         super().__init__()
         self.steps = steps
         self.single = not assumptions
+        self.count = max(1, len(assumptions))
         arms, frictions = zip(*(assumptions or ((1.0, 1.0),)), strict=True)
-        self.arms = nn.Buffer(torch.tensor(arms, dtype=torch.float32)[:, None], persistent=False)
-        self.frictions = nn.Buffer(torch.tensor(frictions, dtype=torch.float32)[:, None], persistent=False)
-        self.zeros = nn.Buffer(torch.zeros(6, dtype=torch.int64), persistent=False)
 
-    def forward(self, pusher: Tensor, outline: Tensor, body: Tensor) -> Mechanics:
-        """Return the mechanics of pushes (n, 4) of outlines (n, 64, 2) in m with bodies (n, 11), of a caller's frame.
+        def constant(name: str, values: object, dtype: torch.dtype = torch.float32) -> None:
+            """Keep a constant beside the weights, which it is no part of."""
+            self.register_buffer(name, torch.tensor(values, dtype=dtype), persistent=False)
 
-        See ``service.pushing.shape_context`` for the tensors.
+        constant("arms", arms)
+        constant("frictions", frictions)
+        constant("row_of_numbers", [[0]] * 4, torch.int64)
+        constant("row_of_ways", [0] * 8, torch.int64)
+        self.place = _Half(2, 3, _ADVANCE, _HALF_STEP, _FROM_MIDDLE)
+        self.middle = _Half(3, 2, _WHOLE, _STEP, _FROM_START)
+
+    def forward(self, pusher: Tensor, outline: Tensor, body: Tensor, context_index: Tensor | None = None) -> Mechanics:
+        """Return the mechanics of pushes (n, 4) of objects with outlines (g, 64, 2) in m and bodies (g, 11).
+
+        See ``service.pushing.shape_context`` for the tensors. ``context_index`` (n,) names the object of each push.
+        None: each has its own.
         """
-        size, centroid = body[:, 2:3], body[:, 0:2]
-        angle = pusher[:, 2:3]
-        cos, sin = torch.cos(angle), torch.sin(angle)
-        turning = torch.stack([torch.cat([cos, -sin], dim=1), torch.cat([sin, cos], dim=1)], dim=1)  # into the frame
-
-        def framed(places: Tensor) -> Tensor:
-            """Return places (n, m, 2) in the push frame."""
-            return ((places - centroid[:, None]) / size[:, None]) @ turning
-
-        known = framed(torch.cat([outline, pusher[:, None, 0:2], body[:, None, 3:5]], dim=1))
-        corners, start, centre = known[:, :CORNERS], known[:, CORNERS], known[:, CORNERS + 1]
-        arm, radius = body[:, 6:7] / size, body[:, 9:10] / size
-        reach = pusher[:, 3:4] / size
-        edges = _edges(corners)
-        tables = _tables(edges)
-        _, _, clearance = _nearest(tables, start[:, None], self.zeros)
-        travel = _first_contact(edges, start, radius)
-        travel = torch.where(
-            clearance[:, 0] <= radius + TOUCH, torch.zeros_like(travel), travel
-        )  # in touch at the start
-        touches = travel <= reach
-        left = torch.where(touches, reach - travel, torch.zeros_like(reach))
-        travel = torch.where(touches, travel, torch.zeros_like(reach))
-        tip = start + torch.cat([travel, torch.zeros_like(travel)], dim=1)
-        point, normal, distance = _nearest(tables, tip[:, None], self.zeros)
-        radius = torch.minimum(radius, distance[:, 0])  # a tip that overlaps at the start is taken to touch
-        motion = self._pushed(tables, tip, left, radius, centre, arm, body[:, 7:8])
-        hit = touches.to(torch.float32)
-        motion = motion * hit[:, None]
+        edges = _edges(outline, body)
+        arm = (body[:, 6:7] / body[:, 2:3]) * self.arms  # (g, k)
+        lookup = _lookup(edges, arm)
+        if context_index is not None:
+            edges = _Edges(*(part[context_index] for part in edges))
+            lookup = _Lookup(*(part[context_index] for part in lookup))
+            arm, body = arm[context_index], body[context_index]
+        size = body[:, 2:3]
+        centre = (body[:, 3:5] - body[:, 0:2]) / size  # of mass, from the centroid
+        start = (pusher[:, 0:2] - body[:, 3:5]) / size
+        length, radius = pusher[:, 3:4] / size, body[:, 9:10] / size
+        ahead = torch.cat([torch.cos(pusher[:, 2:3]), torch.sin(pusher[:, 2:3])], dim=1)  # (n, 2) along the push
+        travel = _first_contact(edges, start, ahead, radius)  # (n, 1)
+        hit = (travel <= length).to(torch.float32)
+        travel = travel * hit
+        left = (length - travel) * hit
+        tip = start + travel * ahead
+        tables = _Lookup(*(part.flatten(0, 1) for part in lookup))
+        first, place, yaw = self._pushed(tables, tip, left * ahead, radius, arm, body[:, 7:8])
+        sideways = torch.cat([-ahead[:, 1:], ahead[:, :1]], dim=1)
+        frame = torch.stack([ahead, sideways], dim=2)  # (n, 2, 2) into the push frame
+        normal = first.normal.reshape(-1, self.count, 2)[:, :1]
+        distance = first.distance.reshape(-1, self.count, 1)[:, :1] * arm[:, :1, None]
+        point = (tip + centre)[:, None] + distance * normal
+        yaw = yaw.reshape(-1, self.count, 1)
+        cos, sin = torch.cos(yaw), torch.sin(yaw)
+        x, y = torch.split(place.reshape(-1, self.count, 2) * arm[..., None] + centre[:, None], 1, dim=2)
+        turned = torch.cat([x * cos - y * sin, y * cos + x * sin], dim=2)
+        moved = (tip + centre + left * ahead)[:, None] - turned
+        hits = hit[:, None]
+        motion = torch.cat([moved @ frame, yaw], dim=2) * hits
         return Mechanics(
-            hit[:, 0], left[:, 0], point[:, 0] * hit, normal[:, 0] * hit, motion[:, 0] if self.single else motion
+            hit[:, 0],
+            left[:, 0],
+            (point @ frame * hits)[:, 0],
+            (normal @ frame * hits)[:, 0],
+            motion[:, 0] if self.single else motion,
         )
 
     def _pushed(
-        self, tables: Tensor, tip: Tensor, left: Tensor, radius: Tensor, centre: Tensor, arm: Tensor, friction: Tensor
-    ) -> Tensor:
-        """Return the motions (n, k, 3) of objects that tips (n, 2) push by what is left (n, 1)."""
-        arm, friction = arm[:, None] * self.arms, friction[:, None] * self.frictions  # (n, k, 1)
-        radius, centre = radius[:, None], centre[:, None]
-        none = torch.zeros_like(arm)
-        place = tip[:, None] - centre + none  # (n, k, 2) of the tip from the centre of mass, seen from the object
-        heading = torch.cat([left[:, None] / self.steps + none, none], dim=2)
-        yaw = none
+        self, tables: _Lookup, tip: Tensor, advance: Tensor, radius: Tensor, arm: Tensor, friction: Tensor
+    ) -> tuple[_Nearest, Tensor, Tensor]:
+        """Push objects with tips (n, 2) that advance by (n, 2), for k assumptions in n k rows.
 
-        def force(place: Tensor, heading: Tensor, gap: Tensor | None) -> tuple[Tensor, Tensor, Tensor]:
-            """Return motions of objects (n, k, 2) and turns (n, k, 1) for tips that advance, and the gaps there."""
-            point, normal, distance = _nearest(tables, place + centre, self.zeros)
-            found = distance - radius
-            lever = point - centre
-            x, y = torch.split(normal, 1, dim=2)
-            tangent = torch.cat([-y, x], dim=2)
-            a = _dot(lever, tangent) / -arm
-            b = _dot(lever, normal) / arm
-            into = torch.relu(_dot(heading, normal) - (found if gap is None else gap))
-            aside = _dot(heading, tangent)
-            sticking = (1.0 + a * a) * aside - a * b * into
-            slope = sticking / torch.clamp((1.0 + b * b) * into - a * b * aside, min=_TINY)
-            slope = torch.minimum(torch.maximum(slope, -friction), friction)
-            along = into / (1.0 + a * a + a * b * slope)
-            return along * normal + along * slope * tangent, along * (a + b * slope) / arm, found
+        Return the first contacts, where the tips are in the end (n k, 1, 2), seen from the objects, and the yaw.
+        """
+        rows = torch.cat([tip, advance / (2.0 * self.steps)], dim=1)  # (n, 4) place and half of a step
+        state = (rows[:, None] / arm[..., None]).flatten(0, 1)[:, None] @ self.place.spread  # (n k, 1, 8)
+        limits = (friction * self.frictions).reshape(-1, 1, 1)
+        limits = (limits, -limits)
+        first = self._nearest(tables, state)
+        radius = torch.minimum((radius / arm).reshape(-1, 1, 1), first.distance)  # one that overlaps is in touch
+        yaw = torch.zeros_like(radius)
+        for step in range(self.steps):
+            found = first if step == 0 else self._nearest(tables, state)
+            gap = found.distance - radius
+            state, turn = self.place(state, found, gap, None, limits)
+            state, whole_turn = self.middle(state, self._nearest(tables, state), gap, turn, limits)
+            yaw = yaw + whole_turn
+        return first, state[..., :2], yaw
 
-        for _ in range(self.steps):
-            pushed, turn, gap = force(place, 0.5 * heading, None)
-            cos, sin = torch.cos(turn), torch.sin(turn)
-            middle = _turned_back(place + 0.5 * heading - pushed, cos, sin)
-            pushed, turn, _ = force(middle, _turned_back(heading, cos, sin), gap)
-            pushed = _turned_back(pushed, cos, -sin)
-            cos, sin = torch.cos(turn), torch.sin(turn)
-            place = _turned_back(place + heading - pushed, cos, sin)
-            heading = _turned_back(heading, cos, sin)
-            yaw = yaw + turn
-        cos, sin = torch.cos(yaw), torch.sin(yaw)
-        end = tip + torch.cat([left, torch.zeros_like(left)], dim=1)
-        return torch.cat([end[:, None] - _turned_back(place + centre, cos, -sin), yaw], dim=2)
+    def _nearest(self, tables: _Lookup, state: Tensor) -> _Nearest:
+        """Return the nearest places of outlines to the first two numbers of states (n, 1, ...)."""
+        numbers = torch.clamp(state[..., :2] @ tables.slopes + tables.offsets, min=_LEAST).reshape(-1, 4, CORNERS)
+        squares = (numbers * numbers).sum(dim=1, keepdim=True)
+        edge = squares.argmin(dim=2, keepdim=True)  # (n, 1, 1)
+        numbers = torch.gather(numbers, 2, edge + self.row_of_numbers)  # (n, 4, 1)
+        ways = torch.gather(tables.ways, 1, edge + self.row_of_ways).reshape(-1, 4, 2)
+        length = torch.sqrt(squares.amin(dim=2, keepdim=True))
+        inside = numbers[:, 3:]
+        return _Nearest((numbers * ways).sum(dim=1, keepdim=True) / length, length - inside - inside)
 
 
-def _turned_back(vectors: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
-    """Return vectors (n, k, 2) turned clockwise."""
-    x, y = torch.split(vectors, 1, dim=2)
-    return torch.cat([x * cos + y * sin, y * cos - x * sin], dim=2)
+class _Half(nn.Module):
+    """Half of a step: forces at a contact, and the vectors of a row after the motion that they cause.
+
+    Vectors v of a row are held spread, as v and -i v, so that the product with the conjugate of a number r is the sum
+    of both, times the real and the imaginary part of r.
+    """
+
+    def __init__(self, given: int, returned: int, advance: Matrix, motion: Matrix, pushed: Matrix) -> None:
+        """Create the constants.
+
+        Args:
+            given: number of vectors that are given.
+            returned: number of vectors that are returned.
+            advance: (2 given, 4) from given vectors to the place and the advance of the tip.
+            motion: (2 given, 2 returned) from given vectors to returned ones, if nothing was pushed.
+            pushed: (2, 2 returned) what the motion of the contact adds to them.
+        """
+        super().__init__()
+        spread, summed = _spread(given), _summed(given)
+        spread_back, summed_back = _spread(returned), _summed(returned)
+        self.spread = nn.Buffer(spread, persistent=False)
+        self.into = nn.Buffer(_parts(given, 1.0), persistent=False)
+        self.out_of = nn.Buffer(_parts(returned, -1.0), persistent=False)
+        self.advance = nn.Buffer(summed @ torch.tensor(advance), persistent=False)
+        self.motion = nn.Buffer(summed @ torch.tensor(motion) @ spread_back, persistent=False)
+        self.pushed = nn.Buffer(torch.tensor(pushed) @ spread_back, persistent=False)
+        self.again = nn.Buffer(summed_back @ spread_back, persistent=False)
+        quarter = torch.full((2 * returned,), -0.5 * math.pi)  # a sine is the cosine of an angle less a quarter
+        self.phases = nn.Buffer(torch.cat([torch.zeros(2 * returned), quarter]), persistent=False)
+
+    def forward(
+        self, state: Tensor, found: _Nearest, gap: Tensor, turned: Tensor | None, limits: tuple[Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor]:
+        """Return the vectors (n, 1, 4 returned) after the motion, and the turn (n, 1, 1) since the step began.
+
+        Args:
+            state: (n, 1, 4 given) vectors, spread.
+            found: the contacts.
+            gap: (n, 1, 1) to be closed.
+            turned: (n, 1, 1) the part of the turn that the given vectors have seen. None: they have seen none.
+            limits: (n, 1, 1) the friction, and its negative.
+        """
+        held = state * (found.normal @ self.into)  # in the frame of the contact, once summed
+        place, t, into, y = torch.split(held @ self.advance, 1, dim=2)
+        b, x = place + found.distance, into - gap
+        lever = b * x + t * y
+        slope = (y + t * lever) / torch.clamp(x + b * lever, min=_TINY)
+        slope = torch.maximum(torch.minimum(slope, limits[0]), limits[1])
+        moment = b * slope - t
+        force = torch.relu(x / (1.0 - t * moment))  # a tip does not pull
+        turn = force * moment
+        moved = held @ self.motion + torch.cat([force, force * slope], dim=2) @ self.pushed
+        out = (moved * (found.normal @ self.out_of)) @ self.again
+        return (out * torch.cos((turn if turned is None else turn - turned) + self.phases)) @ self.again, turn
 
 
-def _dot(first: Tensor, second: Tensor) -> Tensor:
-    return (first * second).sum(dim=2, keepdim=True)
+def _spread(vectors: int) -> Tensor:
+    """Return the matrix (2 m, 4 m) that spreads vectors v as v and -i v."""
+    both = torch.tensor([[1.0, 0.0], [0.0, 1.0]]), torch.tensor([[0.0, -1.0], [1.0, 0.0]])
+    return torch.cat([torch.kron(torch.eye(vectors), part) for part in both], dim=1)
 
 
-def _edges(corners: Tensor) -> Outlines:
-    """Return the edges of outlines, corners (n, 64, 2)."""
-    along = torch.cat([corners[:, 1:], corners[:, :1]], dim=1) - corners
-    length = torch.sqrt((along * along).sum(dim=2))
-    return Outlines(corners, along / torch.clamp(length, min=_TINY)[..., None], length)
+def _summed(vectors: int) -> Tensor:
+    """Return the matrix (4 m, 2 m) that sums both parts of spread vectors."""
+    return torch.cat([torch.eye(2 * vectors)] * 2, dim=0)
 
 
-def _first_contact(edges: Outlines, start: Tensor, radius: Tensor) -> Tensor:
-    """Return the travel (n, 1) along x from starts (n, 2) to the first contact, ``LARGEST`` for a miss."""
-    x, y = torch.split(start[:, None] - edges.start, 1, dim=2)
-    x, y = x[..., 0], y[..., 0]  # (n, 64)
-    unit_x, unit_y = edges.unit[..., 0], edges.unit[..., 1]
-    height = x * unit_y - y * unit_x  # outside of each edge
+def _parts(vectors: int, sign: float) -> Tensor:
+    """Return the matrix (2, 4 m) from a number to its real part beside each v, and its imaginary one beside -i v."""
+    return torch.kron(torch.diag(torch.tensor([1.0, sign])), torch.ones(1, 2 * vectors))
+
+
+def _edges(outline: Tensor, body: Tensor) -> _Edges:
+    """Return the edges of outlines (g, 64, 2) in m."""
+    corners = (outline - body[:, None, 3:5]) / body[:, None, 2:3]
+    vector = torch.cat([corners[:, 1:], corners[:, :1]], dim=1) - corners
+    length = torch.linalg.vector_norm(vector, dim=2, keepdim=True)
+    unit = vector / torch.clamp(length, min=_TINY)
+    outward = torch.cat([unit[..., 1:], -unit[..., :1]], dim=2)
+    half = 0.5 * length[..., 0]
+    along, height = -(corners * unit).sum(dim=2) - half, -(corners * outward).sum(dim=2)
+    half = torch.where(half < _TINY, torch.full_like(half, -FAR), half)
+    return _Edges(unit, outward, along, height, half)
+
+
+def _lookup(edges: _Edges, arm: Tensor) -> _Lookup:
+    """Return the tables of objects for k assumptions, (g, k, ...)."""
+    unit, outward = edges.unit, edges.outward
+    slopes = torch.cat([unit, -unit, outward, -_INSIDE * outward], dim=1).transpose(1, 2)  # (g, 2, 256)
+    offsets = torch.cat(
+        [edges.along - edges.half, -edges.along - edges.half, edges.height, -_INSIDE * edges.height], dim=1
+    )
+    ways = torch.cat([-unit, unit, -outward, -outward], dim=2)
+    many = torch.ones_like(arm)[..., None, None]  # (g, k, 1, 1)
+    return _Lookup(slopes[:, None] * many, (offsets[:, None] / arm[..., None])[:, :, None], ways[:, None] * many)
+
+
+def _first_contact(edges: _Edges, start: Tensor, ahead: Tensor, radius: Tensor) -> Tensor:
+    """Return the travel (n, 1) from starts (n, 2) along unit vectors to the first contact, ``LARGEST`` for a miss."""
+    both = torch.stack([start, ahead], dim=2)  # (n, 2, 2)
+    along, drift = torch.unbind(edges.unit @ both, dim=2)  # (n, 64)
+    height, climb = torch.unbind(edges.outward @ both, dim=2)
+    along, height = along + edges.along, height + edges.height
     far = torch.full_like(height, LARGEST)
-    faces = unit_y < -_TINY  # edges that the tip nears: their outward normal is (unit_y, -unit_x)
-    to_edge = (height - radius) / torch.where(faces, -unit_y, torch.ones_like(unit_y))
-    met = x * unit_x + y * unit_y + to_edge * unit_x
-    to_edge = torch.where(faces & (to_edge >= 0.0) & (met >= 0.0) & (met <= edges.length), to_edge, far)
-    room = radius * radius - y * y
-    to_corner = -x - torch.sqrt(torch.relu(room))
+    faces = climb < -_TINY  # edges that the tip nears
+    to_edge = (height - radius) / torch.where(faces, -climb, torch.ones_like(climb))
+    met = torch.abs(along + to_edge * drift) <= edges.half
+    to_edge = torch.where(faces & (to_edge >= 0.0) & met, to_edge, far)
+    beside = along + edges.half  # the corner at the start of an edge, seen from it
+    across = drift * height - climb * beside
+    room = radius * radius - across * across
+    to_corner = -(drift * beside + climb * height) - torch.sqrt(torch.relu(room))
     to_corner = torch.where((room >= 0.0) & (to_corner >= 0.0), to_corner, far)
-    return torch.minimum(to_edge, to_corner).amin(dim=1, keepdim=True)
-
-
-def _tables(edges: Outlines) -> Tensor:
-    """Return what a step looks up for each edge (n, 64, 6): middle, unit vector, half length, and zero."""
-    half = 0.5 * edges.length
-    middle = edges.start + half[..., None] * edges.unit
-    filling = edges.length < _TINY
-    half = torch.where(filling, torch.full_like(half, -FAR), half)
-    return torch.cat([middle, edges.unit, half[..., None], torch.zeros_like(half)[..., None]], dim=2)
-
-
-def _nearest(tables: Tensor, places: Tensor, zeros: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the nearest points of outlines to places (n, k, 2), inward normals (n, k, 2), and distances (n, k, 1)."""
-    offset = places[:, :, None] - tables[:, None, :, 0:2]  # (n, k, 64, 2)
-    x, y = offset[..., 0], offset[..., 1]
-    unit_x, unit_y, half = (tables[:, None, :, column] for column in (2, 3, 4))
-    excess = torch.relu(torch.abs(x * unit_x + y * unit_y) - half)
-    height = x * unit_y - y * unit_x
-    nearest = (excess * excess + height * height).argmin(dim=2, keepdim=True) + zeros  # (n, k, 6)
-    found = torch.gather(tables, 1, nearest)
-    middle, unit, half, _ = torch.split(found, [2, 2, 1, 1], dim=2)
-    along = ((places - middle) * unit).sum(dim=2, keepdim=True)
-    point = middle + unit * torch.minimum(torch.maximum(along, -half), half)
-    gap = point - places
-    unit_x, unit_y = torch.split(unit, 1, dim=2)
-    inward = torch.cat([-unit_y, unit_x], dim=2)
-    length = torch.sqrt((gap * gap).sum(dim=2, keepdim=True))
-    outside = (gap * inward).sum(dim=2, keepdim=True) >= 0.0
-    beyond = torch.abs(along) > half
-    distance = torch.where(outside | beyond, length, -length)
-    clear = length > _TINY
-    normal = torch.where(clear, gap / torch.where(clear, distance, torch.ones_like(distance)), inward)
-    return point, normal, distance
+    travel = torch.minimum(to_edge, to_corner).amin(dim=1, keepdim=True)
+    excess = torch.relu(torch.abs(along) - edges.half)
+    clearance = torch.sqrt((excess * excess + height * height).amin(dim=1, keepdim=True))
+    return torch.where(clearance <= radius + TOUCH, torch.zeros_like(travel), travel)
