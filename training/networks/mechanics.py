@@ -114,14 +114,11 @@ class PushMechanics(nn.Module):
         self.count = max(1, len(assumptions))
         arms, frictions = zip(*(assumptions or ((1.0, 1.0),)), strict=True)
 
-        def constant(name: str, values: object, dtype: torch.dtype = torch.float32) -> None:
-            """Keep a constant beside the weights, which it is no part of."""
-            self.register_buffer(name, torch.tensor(values, dtype=dtype), persistent=False)
-
-        constant("arms", arms)
-        constant("frictions", frictions)
-        constant("row_of_numbers", [[0]] * 4, torch.int64)
-        constant("row_of_ways", [0] * 8, torch.int64)
+        self.arms, self.frictions = (
+            nn.Buffer(torch.tensor(values, dtype=torch.float32), persistent=False) for values in (arms, frictions)
+        )
+        self.row_of_numbers = nn.Buffer(torch.zeros(4, 1, dtype=torch.int64), persistent=False)
+        self.row_of_ways = nn.Buffer(torch.zeros(8, dtype=torch.int64), persistent=False)
         self.place = _Half(2, 3, _ADVANCE, _HALF_STEP, _FROM_MIDDLE)
         self.middle = _Half(3, 2, _WHOLE, _STEP, _FROM_START)
 
@@ -179,8 +176,8 @@ class PushMechanics(nn.Module):
         """
         rows = torch.cat([tip, advance / (2.0 * self.steps)], dim=1)  # (n, 4) place and half of a step
         state = (rows[:, None] / arm[..., None]).flatten(0, 1)[:, None] @ self.place.spread  # (n k, 1, 8)
-        limits = (friction * self.frictions).reshape(-1, 1, 1)
-        limits = (limits, -limits)
+        most = (friction * self.frictions).reshape(-1, 1, 1)
+        limits = most, -most
         first = self._nearest(tables, state)
         radius = torch.minimum((radius / arm).reshape(-1, 1, 1), first.distance)  # one that overlaps is in touch
         yaw = torch.zeros_like(radius)
