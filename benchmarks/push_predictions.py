@@ -18,7 +18,7 @@ from PIL import Image
 from tqdm import tqdm
 
 from service.client import Client
-from service.client.calls import Context
+from service.client.arguments import Context
 from service.errors import DataError
 from service.pushing import mechanics
 from service.pushing.first_contact import first_contact

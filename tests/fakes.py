@@ -179,6 +179,7 @@ def all_fake_models(folder: Path) -> tuple[Registry, LoadedModels]:
     """Create a registry with a model of each context kind and a failing model, and load its models."""
     registry, models = fake_models(folder)
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
+    publish_fake(registry, "push-shape", ContextKind.SHAPE)
     publish_fake(registry, "push-failing", model=FAILING)
     models.refresh()
     return registry, models

@@ -24,6 +24,7 @@ from service.cli.main import main
 from service.registry.registry import Registry
 from tests.documented_api import listed_errors
 from tests.running_service import ROOT, free_port, serve
+from tests.served_graphs import publish_missing
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
@@ -59,7 +60,7 @@ def run(command: list[str], code: str, folder: Path, environment: dict[str, str]
 def test_every_shell_block_prints_json(port: int, folder: Path) -> None:
     """Every shell block of docs/api.md succeeds and prints JSON. Its curl fails on a status that is not a success."""
     blocks = [code for language, code in BLOCKS if language == "sh"]
-    assert len(blocks) == 5
+    assert len(blocks) == 8
     for code in blocks:
         printed = run(["bash", "-e"], code.replace("localhost:8000", f"127.0.0.1:{port}"), folder)
         assert printed.startswith("{"), code
@@ -68,7 +69,7 @@ def test_every_shell_block_prints_json(port: int, folder: Path) -> None:
 def test_every_python_block_runs(port: int, folder: Path) -> None:
     """The Python blocks of docs/api.md run as one program, because later blocks use the variables of earlier ones."""
     blocks = [code for language, code in BLOCKS if language == "python"]
-    assert len(blocks) == 5
+    assert len(blocks) == 7
     printed = run([sys.executable, "-"], "\n".join(blocks).replace("localhost:8000", f"127.0.0.1:{port}"), folder)
     assert "turns the object least" in printed
     assert (folder / "seen.png").exists()
@@ -76,8 +77,9 @@ def test_every_python_block_runs(port: int, folder: Path) -> None:
 
 def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
     """The code blocks of docs/client.md run as one program, in a folder with the shipped models."""
-    assert len(CLIENT_BLOCKS) == 10
-    (folder / "models").symlink_to(ROOT / "models")
+    assert len(CLIENT_BLOCKS) == 12
+    shutil.copytree(ROOT / "models", folder / "models")
+    publish_missing(Registry(folder / "models"))
     code = "\n".join(CLIENT_BLOCKS).replace("localhost:8000", f"127.0.0.1:{port}")
     command = [sys.executable, "-W", "error", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{code}"]
     printed = run(command, "", folder)

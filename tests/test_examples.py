@@ -16,13 +16,10 @@ from PIL import Image
 
 from service.api.v1.uploads import FORM_TYPE
 from service.app import create_app
-from service.inference.loaded_models import LoadedModels
-from service.model.predictor import OnnxPredictor
-from service.registry.registry import Registry
 from service.schemas.contexts import IMAGE_EXAMPLE
 from service.settings import Settings
 from tests.documented_api import Json, document, examples_of
-from tests.running_service import ROOT
+from tests.running_service import shipped_models
 
 OPERATIONS = [
     (method, path, operation)
@@ -58,10 +55,9 @@ def test_every_request_and_every_answer_has_valid_examples(method: str, path: st
 
 
 @pytest.fixture(scope="module")
-def shipped() -> Iterator[TestClient]:
+def shipped(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     """Return a client of the app over the shipped models."""
-    models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
-    models.refresh()
+    models = shipped_models(tmp_path_factory.mktemp("models"))
     with TestClient(create_app(Settings(poll_interval_s=3600), models)) as client:
         yield client
 
@@ -109,10 +105,11 @@ def shape(value: Json) -> dict[str, str]:
 
 
 def test_the_example_of_a_context_from_an_image_is_exact(shipped: TestClient) -> None:
-    """The example of a context from an image equals the answer to the example image, its thumbnail pixel by pixel."""
+    """The examples of contexts from images equal the answers to the example image, a thumbnail pixel by pixel."""
     answered = document()["paths"]["/v1/contexts"]["post"]["responses"]["200"]["content"]["application/json"]
-    (example,) = (one["value"] for one in examples_of(answered).values())
+    example, outline = (one["value"] for one in examples_of(answered).values())
     image = base64.b64decode(IMAGE_EXAMPLE)
+    assert outline == shipped.post("/v1/contexts", files={"image": image}, data={"metres_per_pixel": "0.0005"}).json()
     answer = shipped.post("/v1/contexts", content=image, headers={"Content-Type": "image/png"}).json()
     pixels = [Image.open(io.BytesIO(base64.b64decode(one.pop("thumbnail_png")))).tobytes() for one in (example, answer)]
     assert pixels[0] == pixels[1]

@@ -7,6 +7,7 @@ import asyncio
 import os
 import random
 import re
+import tempfile
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -20,11 +21,8 @@ from starlette.types import Message
 
 from service.api.v1.uploads import FORM_TYPE, IMAGE_TYPES
 from service.app import Service, create_app
-from service.inference.loaded_models import LoadedModels
-from service.model.predictor import OnnxPredictor
-from service.registry.registry import Registry
 from service.settings import Settings
-from tests.running_service import ROOT
+from tests.running_service import ROOT, shipped_models
 from tests.valid_bodies import (
     cannot_be_sent_as_form,
     make_batch_valid,
@@ -43,8 +41,7 @@ PIECES = (b"0", b"-", b"1e999", b"NaN", b"null", b"[", b"]", b"{", b"}", b'"', b
 
 def make_app() -> Service:
     """Create the service over the shipped models."""
-    models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
-    models.refresh()
+    models = shipped_models(Path(tempfile.mkdtemp()))
     app = create_app(Settings(poll_interval_s=3600), models)
     assert isinstance(app, Service)
     return app

@@ -30,7 +30,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.transport": "service.errors service.files service.turns service.processors service.inference "
         "service.schemas service.background service.observability",
         "service.connections": "service.errors service.transport",
-        "service.bulk": "service.errors service.files service.model service.pushing service.storage service.inference",
+        "service.bulk": "service.errors service.files service.model service.pushing service.storage service.schemas "
+        "service.inference",
         "service.api": "service.errors service.inference service.schemas service.background service.observability "
         "service.transport",
         "service.api.v1": "service.errors service.turns service.model service.pushing service.silhouettes "

@@ -20,12 +20,10 @@ from benchmarks.worst_valid import valid_requests
 from service.app import Service, create_app
 from service.errors import InvalidRequestError
 from service.inference.loaded_models import LoadedModels
-from service.model.predictor import OnnxPredictor
-from service.registry.registry import Registry
 from service.schemas import body
 from service.settings import Settings
 from tests.documented_api import document
-from tests.running_service import ROOT
+from tests.running_service import shipped_models
 
 SIZE = 70_000  # over documents.SHORT_BYTES
 ANSWER_BYTES = 4096
@@ -82,11 +80,15 @@ class Answers:
         return int(sent[0]["status"]), b"".join(message.get("body", b"") for message in sent[1:])
 
 
+@pytest.fixture(scope="module")
+def models(tmp_path_factory: pytest.TempPathFactory) -> LoadedModels:
+    """Return the shipped models."""
+    return shipped_models(tmp_path_factory.mktemp("models"))
+
+
 @pytest.fixture
-def answers(monkeypatch: pytest.MonkeyPatch) -> Answers:
+def answers(models: LoadedModels, monkeypatch: pytest.MonkeyPatch) -> Answers:
     """Return the service over the shipped models, to be asked directly."""
-    models = LoadedModels(Registry(ROOT / "models"), OnnxPredictor)
-    models.refresh()
     return Answers(create_app(Settings(poll_interval_s=3600), models), monkeypatch)
 
 
@@ -126,9 +128,10 @@ def test_the_fields_of_every_body_are_found() -> None:
     media = document()["paths"]["/v1/predict/batch"]["post"]["requestBody"]["content"]["application/json"]
     found = {".".join(place) for place in places(document(), media["schema"])}
     contexts = {
-        f"contexts.0.{name}" for name in ("descriptor", "indicator", "indicator.0", "visual.0.0", "image", MARK)
+        f"contexts.0.{name}"
+        for name in ("descriptor", "indicator", "indicator.0", "visual.0.0", "image", "outline.0.0", "friction", MARK)
     }
-    assert found >= contexts | {"model", "pushers.0.0", "context_index.0", "object_poses.0.0", MARK}
+    assert found >= contexts | {"model", "pushers.0.0", "context_index.0", "object_poses.0.0", "lengths.0", MARK}
 
 
 def test_the_largest_valid_requests_are_answered(answers: Answers) -> None:

@@ -16,9 +16,17 @@ from PIL import Image
 from service.api.v1.object_contexts import MAX_IMAGES
 from service.pushing.contexts import BITS_PER_SIDE, SHAPE_DIGITS, SIDES, TRIANGULAR
 from service.pushing.poses import REACH_M, WORLD_M
+from service.schemas.shapes import DETAILS, SCALE
 
 Json = dict[str, Any]
-KINDS = {"descriptor": "indicator", "indicator": "indicator", "visual": "visual", "image": "visual"}
+KINDS = {
+    "descriptor": "indicator",
+    "indicator": "indicator",
+    "visual": "visual",
+    "image": "visual",
+    "outline": "shape",
+}
+RADIUS_M = 0.04  # of a drawn outline
 FORMATS = ("PNG", "JPEG", "WEBP")
 NEAR_M = 0.7 * REACH_M  # a pusher that is so near along both axes is in reach, in a frame of any angle
 
@@ -41,6 +49,10 @@ def make_push_valid(body: Json) -> None:
     pusher, pose = body["pusher"], body.get("object_pose") or {"x": 0.0, "y": 0.0}
     for name in ("x", "y"):
         pusher[name] = _near(pusher[name], pose[name])
+    if kind == "shape":
+        pusher["x"], pusher["y"] = _outside([pusher["x"], pusher["y"]], [pose["x"], pose["y"]])
+    else:
+        pusher.pop("length", None)
 
 
 def make_batch_valid(body: Json) -> None:
@@ -64,40 +76,66 @@ def make_batch_valid(body: Json) -> None:
     for row, pusher in enumerate(body["pushers"]):
         pose = poses[row % len(poses)]
         pusher[:2] = [_near(pusher[axis], pose[axis]) for axis in range(2)]
+        if kind == "shape":
+            pusher[:2] = _outside(pusher[:2], pose[:2])
+    lengths = body.get("lengths")
+    if lengths is not None and (kind != "shape" or (isinstance(lengths, list) and len(lengths) not in (1, count))):
+        del body["lengths"]
 
 
 def make_context_valid(context: Json) -> str:
     """Give a context one shape and one weight per side, or an image that can be decoded. Return its context kind."""
-    form = next(name for name, value in context.items() if value is not None)
+    form = next(name for name, value in context.items() if name in KINDS and value is not None)
     if form == "indicator":
         context[form] = _one_hot(context[form])
+    elif form == "outline":
+        context[form] = _star(context[form])
+        context.pop("centre_of_mass", None)
+    elif form == "image" and context.get(SCALE) is not None:
+        context[form], context[SCALE] = base64.b64encode(silhouette()).decode(), 0.001
+        context.pop("centre_of_mass", None)
+        return "shape"
     elif form == "image":
         context[form] = base64.b64encode(picture(context[form])).decode()
     return KINDS[form]
 
 
 def make_image_valid(body: Json) -> None:
-    """Replace the name of a file, which stands for an image in an example, by an image file."""
-    if type(body["image"]) is str:
+    """Replace the name of a file, which stands for an image in an example, by an image file.
+
+    With a scale it is one of a single object, and without it there are no details of a shape.
+    """
+    if SCALE in body:
+        body["image"], body[SCALE] = silhouette(), "0.001"
+        for name in ("friction", "pusher_radius"):
+            if name in body:
+                body[name] = json.dumps(body[name])
+    elif type(body["image"]) is str:
         body["image"] = picture(body["image"])
+    for name in ("centre_of_mass",) if SCALE in body else DETAILS:
+        body.pop(name, None)
 
 
 def make_upload_valid(body: Json) -> None:
     """Give a form one push or a batch within reach, and a visual model. Forms are drawn without regard to ``oneOf``."""
     make_image_valid(body)
     push: Json
+    known = {"context": {"outline": "silhouette"}} if SCALE in body else {}
     if "pushers" in body:
         push = {name: _rows(body[name]) for name in ("pushers", "object_poses") if name in body}
+        push |= {"contexts": [known["context"]]} if known else {}
         make_batch_valid(push)
-        push = {name: json.dumps(rows) for name, rows in push.items()}
+        push = {name: json.dumps(rows) for name, rows in push.items() if name != "contexts"}
     else:
-        push = {"pusher": {"x": 0.0, "y": 0.0, "angle": 0.0}}
+        push = {"pusher": {"x": 0.0, "y": 0.0, "angle": 0.0}} | known
         push |= {name: body[name] for name in ("pusher", "object_pose") if name in body}
         make_push_valid(push)
+        push.pop("context", None)
     model = str(body.get("model"))
-    for name in {"pusher", "pushers", "object_pose", "object_poses"} & body.keys():
+    for name in {"pusher", "pushers", "lengths", "object_pose", "object_poses"} & body.keys():
         del body[name]
-    body |= push | ({"model": "push-visual"} if model.startswith("push-") else {})
+    served = "push-shape" if known else "push-visual"
+    body |= push | ({"model": served} if model.startswith("push-") else {})
 
 
 def make_inference_valid(body: Json) -> None:
@@ -118,7 +156,8 @@ def make_inference_valid(body: Json) -> None:
         for name, (kind, rows) in tensors.items()
     ]
     if body.get("outputs"):
-        body["outputs"] = list({output["name"]: output for output in body["outputs"]}.values())
+        known = {output["name"]: output for output in body["outputs"] if output["name"] != "unfamiliarity"}
+        body["outputs"] = list(known.values())
 
 
 def cannot_be_sent_as_form(body: object) -> bool:
@@ -137,6 +176,32 @@ def _nested_or_flat(rows: np.ndarray[Any, Any], *, flat: bool) -> list[Any]:
     return list(rows.reshape(-1).tolist() if flat else rows.tolist())
 
 
+def silhouette() -> bytes:
+    """Return an image of one square, 80 x 80 pixels in the middle of 160 x 160: a mask."""
+    levels = np.zeros((160, 160), dtype=np.uint8)
+    levels[40:120, 40:120] = 255
+    buffer = io.BytesIO()
+    Image.fromarray(levels).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def _star(seed: object) -> list[list[float]]:
+    """Return a star-shaped outline around the origin, derived from a seed: no farther from it than ``RADIUS_M``."""
+    random = np.random.default_rng(zlib.crc32(repr(seed).encode()))
+    count = int(random.integers(3, 40))
+    angles = 2.0 * np.pi * (np.arange(count) + random.uniform(0.0, 0.5, count)) / count
+    radii = RADIUS_M * random.uniform(0.5, 1.0, count)
+    found: list[list[float]] = np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1).tolist()
+    return found
+
+
+def _outside(position_m: list[float], centre_m: list[float]) -> list[float]:
+    """Return a position that is farther from the centre of an object than its outline, in any frame."""
+    if max(abs(position_m[axis] - centre_m[axis]) for axis in range(2)) > 2 * RADIUS_M:
+        return position_m
+    return [centre_m[0] + math.copysign(3 * RADIUS_M, -centre_m[0]), centre_m[1]]
+
+
 def _choose_model(kind: str, body: Json) -> None:
     """Replace the model by one of this kind. Half of the unknown names remain, because a 404 is documented too."""
     if isinstance(body.get("model"), str):
@@ -151,9 +216,15 @@ def _near(position_m: float, centre_m: float) -> float:
     return centre_m - math.copysign(math.fmod(abs(position_m), NEAR_M), centre_m if abs(centre_m) > WORLD_M / 2 else 1)
 
 
+def _kind_of(context: Json) -> str:
+    """Return the kind of a drawn context."""
+    form = next(name for name, value in context.items() if name in KINDS and value is not None)
+    return "shape" if form == "image" and context.get(SCALE) is not None else KINDS[form]
+
+
 def _of_one_kind(contexts: list[Json]) -> list[Json]:
     """Return the contexts of the first one's kind, at most as many as one request may have images."""
-    kinds = [KINDS[next(name for name, value in context.items() if value is not None)] for context in contexts]
+    kinds = [_kind_of(context) for context in contexts]
     found = [context for context, kind in zip(contexts, kinds, strict=True) if kind == kinds[0]]
     return found[:MAX_IMAGES]
 

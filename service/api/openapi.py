@@ -127,7 +127,7 @@ def _answers(document: dict[str, Any], schema: dict[str, Any]) -> dict[str, Any]
 
 def _example(document: dict[str, Any], schema: dict[str, Any]) -> Any:
     """Return the example of a schema, or else the examples of its fields that are always present."""
-    if "$ref" in schema:
+    if "$ref" in schema and "examples" not in schema:
         schema = document["components"]["schemas"][schema["$ref"].rpartition("/")[2]]
     if "examples" in schema:
         return schema["examples"][0]

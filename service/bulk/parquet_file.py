@@ -15,13 +15,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from service.bulk.chunk import CHUNK_ROWS, CONTEXT_COLUMNS, POSE_COLUMNS, PREDICTED_COLUMNS, Chunk
+from service.bulk.chunk import CHUNK_ROWS, CONTEXT_COLUMNS, LENGTH_COLUMN, POSE_COLUMNS, PREDICTED_COLUMNS, Chunk
 from service.bulk.parquet_pages import read_chunks, read_pages
 from service.errors import DataError
 from service.files import check_regular
 from service.model.manifest import Manifest
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import VISUAL_SIZE
+from service.pushing.poses import PUSH_LENGTH_M
 
 GROUP_CHUNKS: Final = 8
 MAX_ROWS: Final = 1 << 30
@@ -30,7 +31,11 @@ MAX_PAGES_BYTES: Final = 256 << 20  # the largest page of every column. Writers 
 PART_BYTES: Final = 16 << 20  # rows that are read or become values at a time
 GROUP_BYTES: Final = 64 << 20  # a group of rows is written at this size, if it has not ``GROUP_CHUNKS`` before
 _BUFFER_BYTES: Final = 1 << 20  # of a column. Without a buffer all of its chunk is read at once.
-_CONTEXT_TYPES: Final = {ContextKind.INDICATOR: "text", ContextKind.VISUAL: f"{VISUAL_SIZE**2} bytes"}
+_CONTEXT_TYPES: Final = {
+    ContextKind.INDICATOR: "text",
+    ContextKind.VISUAL: f"{VISUAL_SIZE**2} bytes",
+    ContextKind.SHAPE: "text, JSON of a shape",
+}
 
 
 class PushFile:
@@ -74,7 +79,8 @@ class PushFile:
         """
         found = [kind for kind, name in CONTEXT_COLUMNS.items() if name in self.schema.names]
         if len(found) > 1:
-            received, accepted = " and ".join(CONTEXT_COLUMNS.values()), "one of them, or a model named with --model"
+            received = " and ".join(CONTEXT_COLUMNS[kind] for kind in found)
+            accepted = "one of them, or a model named with --model"
             raise DataError(f"{self.path}: received columns {received}; accepted is {accepted}")
         return found[0] if found else ContextKind.NONE
 
@@ -84,11 +90,15 @@ class PushFile:
         Raises:
             DataError: the context column is missing, or has another type.
         """
+        pushes = [*POSE_COLUMNS]
+        if LENGTH_COLUMN in self.schema.names:
+            self._must_have(LENGTH_COLUMN, _is_number, "a column of numbers")
+            pushes.append(LENGTH_COLUMN)
         if kind is ContextKind.NONE:
-            return [*POSE_COLUMNS]
-        fits = _is_text if kind is ContextKind.INDICATOR else _is_bytes
+            return pushes
+        fits = _is_bytes if kind is ContextKind.VISUAL else _is_text
         self._must_have(CONTEXT_COLUMNS[kind], fits, f"a column of {_CONTEXT_TYPES[kind]}, one object per push")
-        return [*POSE_COLUMNS, CONTEXT_COLUMNS[kind]]
+        return [*pushes, CONTEXT_COLUMNS[kind]]
 
     def batches(self) -> Iterator[pa.RecordBatch]:
         """Read all rows and columns, at most ``CHUNK_ROWS`` rows and about ``PART_BYTES`` at a time.
@@ -180,15 +190,19 @@ def _values(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
 
 def chunk_of(first_row: int, batch: pa.RecordBatch) -> Chunk:
     """Convert a batch with exactly the columns of one kind of model to a chunk."""
-    columns = [batch.column(name) for name in POSE_COLUMNS]
-    empty = np.column_stack([column.is_null().to_numpy(zero_copy_only=False) for column in columns])
-    poses = np.column_stack([_numbers(column) for column in columns])
+    has_lengths = LENGTH_COLUMN in batch.schema.names
+    columns = [batch.column(name) for name in (*POSE_COLUMNS, LENGTH_COLUMN)[: 3 + has_lengths]]
+    empty = np.zeros((batch.num_rows, 4), dtype=np.bool_)
+    pushes = np.full((batch.num_rows, 4), PUSH_LENGTH_M)
+    for number, column in enumerate(columns):
+        empty[:, number] = column.is_null().to_numpy(zero_copy_only=False)
+        pushes[:, number] = _numbers(column)
     contexts: tuple[str | bytes | None, ...] = ()
     context_index: IndexArray | None = None
     for name in set(CONTEXT_COLUMNS.values()) & set(batch.schema.names):
         given = _encodable(_plain(batch.column(name))).dictionary_encode(null_encoding="encode")
         contexts, context_index = tuple(given.dictionary.to_pylist()), given.indices.to_numpy().astype(np.int64)
-    return Chunk(first_row, poses, empty, contexts, context_index)
+    return Chunk(first_row, pushes, empty, contexts, context_index)
 
 
 class PredictionFile:

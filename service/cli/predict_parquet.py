@@ -8,10 +8,11 @@ import click
 
 from service.bulk.chunk import ModelParts
 from service.bulk.executors import RayExecutor, ThreadExecutor
+from service.cli.configuration import configure
 from service.cli.terminal import echo, printable
 from service.errors import DataError
-from service.inference.snapshot import DEFAULT_MODELS
 from service.model.reference import ModelReference
+from service.model.tensors import ContextKind
 from service.processors import processors
 from service.registry.registry import Registry
 
@@ -30,7 +31,7 @@ def predict_parquet(
     except ImportError as error:
         raise DataError("--parquet needs the extra 'parquet': pip install 'cazsl[parquet]'") from error
     pushes = PushFile(source)
-    model = _model(registry, reference or DEFAULT_MODELS[pushes.kind()])
+    model = _model(registry, reference or default_model(pushes.kind()))
     executor = ThreadExecutor(jobs or processors()) if ray_address is None else RayExecutor(ray_address)
     terminal = sys.stderr
     start_s = time.perf_counter()
@@ -43,6 +44,15 @@ def predict_parquet(
     name = f"{model.manifest.name}@{model.manifest.version}"
     echo(f"{pushes.rows:,} pushes by {name} in {elapsed_s:.1f} s: {speed}")
     echo(f"next: read {target}; mean_* and std_* are in m and rad, in the object's frame before the push")
+
+
+def default_model(kind: ContextKind) -> str:
+    """Return the name of the model that answers for a kind of context, by the settings.
+
+    Raises:
+        SettingsError: a setting is unknown or invalid.
+    """
+    return configure({}).settings.default_models()[kind]
 
 
 def _model(registry: Registry, reference: str) -> ModelParts:

@@ -8,9 +8,9 @@
 The distribution is called ``cazsl``. torch is never loaded, and onnxruntime only by ``Client.local``.
 
 ``blocking`` and ``asynchronous`` are the two clients, and ``base`` is their common part. ``connections`` finds the way
-to the service, ``calls`` builds requests and parses answers, ``deadline`` bounds each call in time, ``retries`` decides
-on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this process and is imported only by
-``Client.local``. Calls point downward: the package imports ``service.schemas``, ``service.model`` and
+to the service, ``calls`` builds requests of ``arguments`` and parses answers, ``deadline`` bounds each call in time,
+``retries`` decides on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this process and is
+imported only by ``Client.local``. Calls point downward: the package imports ``service.schemas``, ``service.model`` and
 ``service.errors``, and ``local`` also imports the packages that answer a request.
 """
 

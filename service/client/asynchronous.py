@@ -5,18 +5,19 @@ import math
 import os
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self, TypeVar, Unpack
 
 import httpx2
 import numpy.typing as npt
 
 from service.client import calls
+from service.client.arguments import Context, Details, Image, ScaledDetails
 from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
-from service.client.calls import Call, Context, Image, Predictions
+from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
 from service.client.retries import Retries, retry_after_s
-from service.schemas.contexts import VisualContextBody
+from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 from service.schemas.predictions import PredictResponse
 
@@ -67,11 +68,12 @@ class AsyncClient(ClientBase):
         pusher: npt.ArrayLike,
         context: Context | None = None,
         *,
+        length: float | None = None,
         model: str | None = None,
         object_pose: npt.ArrayLike | None = None,
     ) -> PredictResponse:
         """See ``Client.predict``."""
-        return await self._send(calls.predict(pusher, context, model, object_pose))
+        return await self._send(calls.predict(pusher, context, model, object_pose, length))
 
     async def predict_batch(
         self,
@@ -79,26 +81,33 @@ class AsyncClient(ClientBase):
         contexts: Context | Sequence[Context] | None = None,
         context_index: npt.ArrayLike | None = None,
         *,
+        lengths: npt.ArrayLike | None = None,
         model: str | None = None,
         object_poses: npt.ArrayLike | None = None,
     ) -> Predictions:
         """See ``Client.predict_batch``."""
-        return await self._send(calls.predict_batch(pushers, contexts, context_index, model, object_poses))
+        return await self._send(calls.predict_batch(pushers, contexts, context_index, model, object_poses, lengths))
 
     async def predict_image(
         self,
         image: Image,
         pushers: npt.ArrayLike,
         *,
+        lengths: npt.ArrayLike | None = None,
         model: str | None = None,
         object_poses: npt.ArrayLike | None = None,
+        **details: Unpack[Details],
     ) -> Predictions:
         """See ``Client.predict_image``."""
-        return await self._send(calls.predict_image(image, pushers, model, object_poses))
+        return await self._send(calls.predict_image(image, pushers, model, object_poses, lengths, details))
 
     async def make_context(self, image: Image) -> VisualContextBody:
         """See ``Client.make_context``."""
         return await self._send(calls.make_context(image))
+
+    async def find_outline(self, image: Image, **details: Unpack[ScaledDetails]) -> OutlineContextBody:
+        """See ``Client.find_outline``."""
+        return await self._send(calls.find_outline(image, details))
 
     async def list_models(self) -> ModelsBody:
         """See ``Client.list_models``."""

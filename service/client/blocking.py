@@ -5,18 +5,19 @@ import os
 import time
 from collections.abc import Sequence
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self, TypeVar, Unpack
 
 import httpx2
 import numpy.typing as npt
 
 from service.client import calls
+from service.client.arguments import Context, Details, Image, ScaledDetails
 from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
-from service.client.calls import Call, Context, Image, Predictions
+from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
 from service.client.retries import Retries, retry_after_s
-from service.schemas.contexts import VisualContextBody
+from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 from service.schemas.predictions import PredictResponse
 
@@ -91,6 +92,7 @@ class Client(ClientBase):
         pusher: npt.ArrayLike,
         context: Context | None = None,
         *,
+        length: float | None = None,
         model: str | None = None,
         object_pose: npt.ArrayLike | None = None,
     ) -> PredictResponse:
@@ -100,12 +102,13 @@ class Client(ClientBase):
             pusher: (3,) x and y of the pusher's tip in m, direction of the push in rad, in the object's frame. With
                 ``object_pose`` it is in the world frame.
             context: the object: a descriptor such as ``1a2b3c4a``, a ``ContextBody``, or the result of
-                ``make_context``. None for models without context.
+                ``make_context`` or ``find_outline``. None for models without context.
+            length: length of the push in m. None: 0.05, the only one that models of other contexts than outlines know.
             model: name, name@alias or name@version. None selects the champion for this kind of context.
             object_pose: (3,) pose of the object in the world frame. The answer is then in the world frame, with its
                 covariance.
         """
-        return self._send(calls.predict(pusher, context, model, object_pose))
+        return self._send(calls.predict(pusher, context, model, object_pose, length))
 
     def predict_batch(
         self,
@@ -113,6 +116,7 @@ class Client(ClientBase):
         contexts: Context | Sequence[Context] | None = None,
         context_index: npt.ArrayLike | None = None,
         *,
+        lengths: npt.ArrayLike | None = None,
         model: str | None = None,
         object_poses: npt.ArrayLike | None = None,
     ) -> Predictions:
@@ -122,28 +126,43 @@ class Client(ClientBase):
             pushers: (n, 3) as in ``predict``.
             contexts: one object for all pushes, one per push, or several with an index per push.
             context_index: (n,) index of each push's object in ``contexts``, from 0.
+            lengths: length of every push, or (n,), in m, as in ``predict``.
             model: as in ``predict``.
             object_poses: (1, 3) or (n, 3) poses of the objects in the world frame, as in ``predict``.
         """
-        return self._send(calls.predict_batch(pushers, contexts, context_index, model, object_poses))
+        return self._send(calls.predict_batch(pushers, contexts, context_index, model, object_poses, lengths))
 
     def predict_image(
         self,
         image: Image,
         pushers: npt.ArrayLike,
         *,
+        lengths: npt.ArrayLike | None = None,
         model: str | None = None,
         object_poses: npt.ArrayLike | None = None,
+        **details: Unpack[Details],
     ) -> Predictions:
         """Predict pushes (n, 3) of the object in an image, given as a path or as the content of a file.
 
-        For several calls with one image, convert it once with ``make_context``.
+        For several calls with one image, convert it once with ``make_context`` or ``find_outline``. With
+        ``metres_per_pixel``, the scale of the image, its object is one of any shape, and the object frame is that of
+        the image: the origin in its middle, x to the right and y up. See ``find_outline`` for the other details.
         """
-        return self._send(calls.predict_image(image, pushers, model, object_poses))
+        return self._send(calls.predict_image(image, pushers, model, object_poses, lengths, details))
 
     def make_context(self, image: Image) -> VisualContextBody:
         """Convert an image to the visual context that a model receives, for predictions and for inspection."""
         return self._send(calls.make_context(image))
+
+    def find_outline(self, image: Image, **details: Unpack[ScaledDetails]) -> OutlineContextBody:
+        """Find the outline of the object in an image whose scale is known, for predictions and to draw it.
+
+        Args:
+            image: a mask or a photograph from above, as in ``predict_image``.
+            details: ``metres_per_pixel``, the scale, and if known ``centre_of_mass``, ``friction`` and
+                ``pusher_radius``, which go into the context. See ``ContextBody``.
+        """
+        return self._send(calls.find_outline(image, details))
 
     def list_models(self) -> ModelsBody:
         """List all served models with their versions and aliases."""

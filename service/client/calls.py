@@ -1,13 +1,11 @@
-"""Requests and answers of the clients: arrays and files to request bodies, answers to arrays and bodies.
+"""Requests and answers of the clients: arguments to request bodies, answers to arrays and bodies.
 
 This module sends no requests. The blocking client, the asyncio client and the client in this process share it.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
-from pathlib import Path
 from typing import Any, Final, Generic, Literal, TypeVar
 
 import numpy as np
@@ -15,11 +13,26 @@ import numpy.typing as npt
 import orjson
 from pydantic import ValidationError
 
+from service.client.arguments import (
+    POSE_PARTS,
+    Context,
+    Details,
+    Image,
+    ScaledDetails,
+    context_document,
+    detail_fields,
+    finite_array,
+    image_content,
+    index_array,
+    lengths_field,
+    pose_document,
+    pose_rows,
+)
 from service.client.errors import ProblemError, UnreadableAnswerError
 from service.errors import FieldFault
 from service.model.reference import is_name
 from service.schemas.body import Body
-from service.schemas.contexts import ContextBody, VisualContextBody
+from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionBody, ModelVersionDetailBody
 from service.schemas.predictions import BatchResponse, PredictResponse
 from service.schemas.problems import ProblemBody
@@ -27,13 +40,7 @@ from service.schemas.problems import ProblemBody
 T = TypeVar("T")
 B = TypeVar("B", bound=Body)
 Numbers = npt.NDArray[np.floating[Any]]
-Context = str | ContextBody | VisualContextBody
-"""Context of an object: a descriptor, any form of ``ContextBody``, or the result of ``make_context``."""
-Image = bytes | str | os.PathLike[str]
-"""The content of a PNG, JPEG or WebP file, or its path."""
 NAME_SYNTAX: Final = "1 to 64 lower-case letters, digits, '-' and '_', not starting with '-' or '_'"
-_POSE_PARTS: Final = 3
-_REAL_KINDS: Final = "fiu"
 _PHRASES: Final = {int(status): status.phrase for status in HTTPStatus}
 _JSON: Final = {"Content-Type": "application/json"}
 MAX_ANSWER_BYTES: Final = 1 << 20
@@ -95,14 +102,20 @@ class Call(Generic[T]):
 
 
 def predict(
-    pusher: npt.ArrayLike, context: Context | None, model: str | None, object_pose: npt.ArrayLike | None
+    pusher: npt.ArrayLike,
+    context: Context | None,
+    model: str | None,
+    object_pose: npt.ArrayLike | None,
+    length: float | None = None,
 ) -> Call[PredictResponse]:
     """Build the request for one push."""
-    document: dict[str, Any] = {"pusher": _pose(pusher, "pusher"), **_model_field(model)}
+    document: dict[str, Any] = {"pusher": pose_document(pusher, "pusher"), **_model_field(model)}
+    if length is not None:
+        document["pusher"]["length"] = float(finite_array(length, "length"))
     if context is not None:
-        document["context"] = _context(context)
+        document["context"] = context_document(context)
     if object_pose is not None:
-        document["object_pose"] = _pose(object_pose, "object_pose")
+        document["object_pose"] = pose_document(object_pose, "object_pose")
     return _post("/v1/predict", document, _reader(PredictResponse))
 
 
@@ -112,36 +125,52 @@ def predict_batch(
     context_index: npt.ArrayLike | None,
     model: str | None,
     object_poses: npt.ArrayLike | None,
+    lengths: npt.ArrayLike | None = None,
 ) -> Call[Predictions]:
     """Build the request for many pushes."""
-    rows = _rows(pushers, "pushers")
-    document: dict[str, Any] = {"pushers": rows, **_model_field(model)}
+    rows = pose_rows(pushers, "pushers")
+    document: dict[str, Any] = {"pushers": rows, **lengths_field(lengths), **_model_field(model)}
     if contexts is not None:
         several = [contexts] if isinstance(contexts, Context) else contexts
-        document["contexts"] = [_context(context) for context in several]
+        document["contexts"] = [context_document(context) for context in several]
     if context_index is not None:
-        document["context_index"] = _index(context_index)
+        document["context_index"] = index_array(context_index)
     if object_poses is not None:
-        document["object_poses"] = _rows(object_poses, "object_poses")
+        document["object_poses"] = pose_rows(object_poses, "object_poses")
     return _post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)), len(rows))
 
 
 def predict_image(
-    image: Image, pushers: npt.ArrayLike, model: str | None, object_poses: npt.ArrayLike | None
+    image: Image,
+    pushers: npt.ArrayLike,
+    model: str | None,
+    object_poses: npt.ArrayLike | None,
+    lengths: npt.ArrayLike | None = None,
+    details: Details | ScaledDetails | None = None,
 ) -> Call[Predictions]:
     """Build the request for many pushes of the object in an image."""
-    rows = _rows(pushers, "pushers")
-    fields = {"pushers": _dump(rows), **_model_field(model)}
+    rows = pose_rows(pushers, "pushers")
+    given = {"pushers": rows, **lengths_field(lengths), **detail_fields(details or {})}
+    fields = {name: _dump(value) for name, value in given.items()} | _model_field(model)
     if object_poses is not None:
-        fields["object_poses"] = _dump(_rows(object_poses, "object_poses"))
-    body = {"data": fields, "files": {"image": ("image", _image(image))}}
+        fields["object_poses"] = _dump(pose_rows(object_poses, "object_poses"))
+    body = {"data": fields, "files": {"image": ("image", image_content(image))}}
     max_answer_bytes = MAX_ANSWER_BYTES + len(rows) * _ROW_BYTES
     return Call("POST", "/v1/predict/image", lambda content: _predictions(content, len(rows)), body, max_answer_bytes)
 
 
 def make_context(image: Image) -> Call[VisualContextBody]:
     """Build the request for the visual context of an image."""
-    return Call("POST", "/v1/contexts", _reader(VisualContextBody), {"files": {"image": ("image", _image(image))}})
+    return Call(
+        "POST", "/v1/contexts", _reader(VisualContextBody), {"files": {"image": ("image", image_content(image))}}
+    )
+
+
+def find_outline(image: Image, details: ScaledDetails) -> Call[OutlineContextBody]:
+    """Build the request for the outline of the object in an image whose scale is known."""
+    fields = {name: _dump(value) for name, value in detail_fields(details).items()}
+    body = {"data": fields, "files": {"image": ("image", image_content(image))}}
+    return Call("POST", "/v1/contexts", _reader(OutlineContextBody), body)
 
 
 def list_models() -> Call[ModelsBody]:
@@ -191,62 +220,6 @@ def _segment(name: str) -> str:
     return name
 
 
-def _context(context: Context) -> dict[str, Any]:
-    match context:
-        case str():
-            return {"descriptor": context}
-        case VisualContextBody():
-            return {"visual": context.visual}
-        case _:
-            return context.model_dump(exclude_none=True)
-
-
-def _pose(pose: npt.ArrayLike, where: str) -> dict[str, float]:
-    parts = _finite(pose, where)
-    if parts.shape != (_POSE_PARTS,):
-        raise ProblemError.at(where, f"shape {parts.shape}", "three numbers: x and y in m, angle in rad")
-    return dict(zip(("x", "y", "angle"), parts.tolist(), strict=True))
-
-
-def _rows(poses: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
-    rows = _finite(poses, where)
-    if rows.ndim != 2 or rows.shape[1] != _POSE_PARTS:
-        raise ProblemError.at(where, f"shape {rows.shape}", "shape (n, 3): x and y in m, angle in rad")
-    return rows
-
-
-def _finite(numbers: npt.ArrayLike, where: str) -> npt.NDArray[np.float64]:
-    """Return the numbers as contiguous float64. NaN is refused here, because JSON would send null for it."""
-    given = _as_array(numbers, where)
-    if given.dtype.kind not in _REAL_KINDS:
-        raise ProblemError.at(where, f"an array of {given.dtype}", "an array of real numbers")
-    found = np.asarray(given, dtype=np.float64, order="C")
-    wrong = np.argwhere(~np.isfinite(found))
-    if len(wrong):
-        index = ".".join(str(int(part)) for part in wrong[0])
-        raise ProblemError.at(f"{where}.{index}", "a number that is not finite", "finite numbers")
-    return found
-
-
-def _as_array(numbers: npt.ArrayLike, where: str) -> npt.NDArray[Any]:
-    try:
-        return np.asarray(numbers)
-    except ValueError as error:
-        raise ProblemError.at(where, "rows of different lengths", "an array of real numbers") from error
-
-
-def _index(index: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    found = _as_array(index, "context_index")
-    if found.ndim != 1 or not np.issubdtype(found.dtype, np.integer):
-        received = f"shape {found.shape} of {found.dtype}"
-        raise ProblemError.at("context_index", received, "shape (n,) of integers: one per push")
-    return np.ascontiguousarray(found, dtype=np.int64)
-
-
-def _image(image: Image) -> bytes:
-    return image if isinstance(image, bytes) else Path(image).read_bytes()
-
-
 def _reader(kind: type[B]) -> Callable[[bytes], B]:
     """Return a parser that validates known fields and ignores fields of later services."""
     return lambda content: kind.model_validate_json(content, extra="ignore")
@@ -268,9 +241,9 @@ def _predictions(content: bytes, count: int) -> Predictions:
     return Predictions(
         body.model,
         body.frame,
-        _array(body.mean, (count, _POSE_PARTS), kind),
-        _array(body.std, (count, _POSE_PARTS), kind),
-        None if body.covariance is None else _array(body.covariance, (count, _POSE_PARTS, _POSE_PARTS), kind),
+        _array(body.mean, (count, POSE_PARTS), kind),
+        _array(body.std, (count, POSE_PARTS), kind),
+        None if body.covariance is None else _array(body.covariance, (count, POSE_PARTS, POSE_PARTS), kind),
     )
 
 

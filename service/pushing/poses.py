@@ -22,6 +22,7 @@ from service.errors import FieldFault, InvalidRequestError
 
 DoubleArray = npt.NDArray[np.float64]
 PUSH_LENGTH_M: Final = 0.050
+MAX_LENGTH_M: Final = 1.0
 POSE_NAMES: Final = ("x", "y", "angle")
 REACH_M: Final = 1.0  # a push of 50 mm from further away cannot touch the object
 WORLD_M: Final = 1e6  # largest coordinate in the world, which float64 resolves to a nanometre

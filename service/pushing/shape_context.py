@@ -16,6 +16,7 @@ from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
 
 PUSHER_RADIUS_M: Final = 0.00475  # of a tip of unknown radius: that of Omnipush
+SHAPE_REACH_M: Final = 10.0  # of corners and pushers from the origin of the caller's frame
 CORNERS: Final = 64  # of the outline that a graph takes
 SILHOUETTE_SIZE: Final = 32
 SILHOUETTE_REACH: Final = 2.4  # half of the silhouette's width, in sizes of the object

@@ -1,4 +1,4 @@
-"""Bodies of object contexts: descriptor, indicator, visual context or image, and their conversion to the domain."""
+"""Bodies of object contexts: descriptor, indicator, visual context, image or outline, and their conversion."""
 
 import base64
 import binascii
@@ -6,29 +6,32 @@ import math
 from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import BeforeValidator, ConfigDict, Field
 
 from service.errors import InvalidRequestError
 from service.pushing.contexts import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
-from service.pushing.image_quality import quality_flags, thumbnail_png
 from service.pushing.images import decode, visual_context
-from service.schemas.body import Body, at_most
+from service.pushing.outlines import FEWEST_CORNERS, MOST_CORNERS
+from service.pushing.shape_context import ShapeContext
+from service.schemas.body import at_most
+from service.schemas.shapes import (
+    DETAILS,
+    OUTLINE_EXAMPLE,
+    SCALE,
+    Point,
+    ShapeDetails,
+    ShapeKey,
+    find_shape,
+    listed,
+    read_outline,
+)
 
 INDICATOR_EXAMPLE: Final = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
     "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
     "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
 )
-# the visual context of that image, and its thumbnail
-_VISUAL_EXAMPLE: Final = base64.b64encode(bytes(256) + (bytes(8) + b"\x80" * 16 + bytes(8)) * 16 + bytes(256)).decode()
-_THUMBNAIL_EXAMPLE: Final = (
-    "iVBORw0KGgoAAAANSUhEUgAAAQAAAAEACAAAAAB5Gfe6AAABRklEQVR4nO3QgQkAIAwEMXVyR3cIhUNIBmiPHwMAAAAA"
-    "AAAAAAAAAAAAAAD43bw9sB9ElP/Xi4ifGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZ"
-    "oA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmg"
-    "DqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAO"
-    "qBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA6oGaAOqBmgDqgZoA4A"
-    "AAAAAAAAAAAAAAAAAAAAuHUAko8CAFqKhPgAAAAASUVORK5CYII="
-)
+FORMS: Final = ("descriptor", "indicator", "visual", "image", "outline")
 _PIECE_LENGTH: Final = 1 << 18  # characters of base64: a multiple of four
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
 # Schemas of the OpenAPI document only. ``to_domain`` has the better error messages.
@@ -48,45 +51,32 @@ _VISUAL_SCHEMA: Final[dict[str, Any]] = {  # keywords of texts do not apply to r
 }
 
 
+_UNKNOWN: Final = (None,) * len(DETAILS)
+_NULL: Final[dict[str, Any]] = {"type": "null"}
+_GIVEN: Final[dict[str, Any]] = {"not": _NULL}
+
+
 def _one_form(schema: dict[str, Any]) -> None:
-    """Add to the schema that exactly one of the fields is given, and is not null."""
+    """Add to the schema that exactly one form is given, with no other details of a shape than the form has."""
+    unknown: dict[str, Any] = dict.fromkeys((*FORMS, *DETAILS), _NULL)
+    rules = [unknown | {form: _GIVEN} for form in FORMS if form != "outline"]
+    shape = {name: rule for name, rule in unknown.items() if name not in DETAILS}
+    rules += [shape | {"outline": _GIVEN, SCALE: _NULL}, shape | {"image": _GIVEN, SCALE: _GIVEN}]
     schema["oneOf"] = [
-        {"required": [form], "properties": {form: {"not": {"type": "null"}}}} for form in schema["properties"]
+        {"required": [name for name, rule in rule_of.items() if rule is _GIVEN], "properties": rule_of}
+        for rule_of in rules
     ]
 
 
 _LevelRow = Annotated[list[float], Field(fail_fast=True)]
+ContextKey = str | ShapeKey
 
 
-class VisualContextBody(Body):
-    """Visual context of an image, to be sent instead of it, a thumbnail, and the faults of the image."""
+class ContextBody(ShapeDetails):
+    """Object context in exactly one form: descriptor, indicator, visual, image or outline.
 
-    visual: Annotated[
-        str,
-        Field(
-            description="base64 of 1,024 grey levels, row by row: a value for the field visual of a context",
-            examples=[_VISUAL_EXAMPLE],
-        ),
-    ]
-    thumbnail_png: Annotated[
-        str,
-        Field(
-            description="base64 of a PNG of 256 x 256 pixels that shows the visual context to a person",
-            examples=[_THUMBNAIL_EXAMPLE],
-        ),
-    ]
-    flags: Annotated[
-        list[str],
-        Field(
-            description="faults of the image: blank, clipped, off_centre, several_objects. With any of them "
-            "predictions may be poor.",
-            examples=[[]],
-        ),
-    ]
-
-
-class ContextBody(Body):
-    """Object context in exactly one form: descriptor, indicator, visual or image."""
+    An outline, or an image with ``metres_per_pixel``, is an object of any shape. It may come with what else is known.
+    """
 
     model_config = ConfigDict(json_schema_extra=_one_form)
 
@@ -123,49 +113,79 @@ class ContextBody(Body):
     image: Annotated[
         str | None,
         Field(
-            description="base64 of a top-down view as PNG, JPEG or WebP, which is converted to the visual context. "
-            "POST /v1/predict/image takes the file itself.",
+            description="base64 of a top-down view as PNG, JPEG or WebP, which is converted to the visual context, or "
+            "with metres_per_pixel to an outline. POST /v1/predict/image takes the file itself.",
             examples=[IMAGE_EXAMPLE],
             json_schema_extra={"contentEncoding": "base64"},
         ),
     ] = None
 
-    @property
-    def only_descriptor(self) -> str | None:
-        """Return the descriptor if it is the only form given, else None. Its tensor can be cached."""
-        others = (self.indicator, self.visual, self.image)
-        return self.descriptor if others == (None, None, None) else None
+    outline: Annotated[
+        list[Point] | None,
+        Field(
+            min_length=FEWEST_CORNERS,
+            max_length=MOST_CORNERS,
+            fail_fast=True,
+            description="corners [x, y] in m of a simple polygon around the object, clockwise or counter-clockwise, in "
+            "a frame of any origin and orientation: it is the object frame. An object is 0.005 to 2 m across.",
+            examples=[OUTLINE_EXAMPLE],
+        ),
+        BeforeValidator(listed),
+        at_most(MOST_CORNERS),
+    ] = None
 
-    def to_domain(self, where: str = "body.context") -> ObjectContext | VisualContext:
+    @property
+    def key(self) -> ContextKey | None:
+        """Return the content of a context whose tensors can be cached, else None: a descriptor, or an outline alone."""
+        if self.indicator is not None or self.visual is not None or self.image is not None:
+            return None
+        if self.outline is None:
+            details = (self.metres_per_pixel, self.centre_of_mass, self.friction, self.pusher_radius)
+            return self.descriptor if details == _UNKNOWN else None
+        if self.descriptor is not None or self.metres_per_pixel is not None:
+            return None
+        return self.shape_key(self.outline)
+
+    @property
+    def is_shape(self) -> bool:
+        """Return True for an outline, or an image with its scale."""
+        return self.outline is not None or (self.image is not None and self.metres_per_pixel is not None)
+
+    def to_domain(self, where: str = "body.context") -> ObjectContext | VisualContext | ShapeContext:
         """Return the object context. Blocking if it is an image, which is decoded.
 
         Raises:
-            InvalidRequestError: there is not exactly one form, or its value is not valid.
+            InvalidRequestError: there is not exactly one form, its value is not valid, or it has details that belong to
+                a shape.
             ImageTooLargeError, UnsupportedImageError: see ``images.decode``.
         """
-        forms = type(self).model_fields
-        given = [name for name in forms if getattr(self, name) is not None]
+        given = [name for name in FORMS if getattr(self, name) is not None]
         if len(given) != 1:
             received = " and ".join(given) or "no form"
-            raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(forms)}")
+            raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(FORMS)}")
+        self._check_details(given[0], where)
+        if self.outline is not None:
+            return self.shape(read_outline(self.outline, f"{where}.outline"), where)
         if self.descriptor is not None:
             return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
         if self.indicator is not None:
             return ObjectContext.from_indicator(self.indicator, f"{where}.indicator")
         if self.image is not None:
-            return visual_context(decode(_decode_base64(self.image, f"{where}.image"), where=f"{where}.image"))
+            image = _decode_base64(self.image, f"{where}.image")
+            if self.metres_per_pixel is not None:
+                return find_shape(image, self, where).shape
+            return visual_context(decode(image, where=f"{where}.image"))
         if isinstance(self.visual, str):
             return VisualContext.from_bytes(_decode_base64(self.visual, f"{where}.visual"), f"{where}.visual")
         return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual")
 
-
-def describe_context(context: VisualContext) -> VisualContextBody:
-    """Return the body of a visual context, with its thumbnail and its quality flags."""
-    return VisualContextBody(
-        visual=base64.b64encode(context.levels).decode(),
-        thumbnail_png=base64.b64encode(thumbnail_png(context)).decode(),
-        flags=[flag.value for flag in quality_flags(context)],
-    )
+    def _check_details(self, form: str, where: str) -> None:
+        """Refuse details of a shape beside a form that is no shape."""
+        for name in DETAILS:
+            belongs = form == "image" if name == SCALE else self.is_shape
+            if getattr(self, name) is not None and not belongs:
+                beside = "an image" if name == SCALE else "an outline, or an image with metres_per_pixel"
+                raise InvalidRequestError.at(f"{where}.{name}", f"a value beside {form}", f"this field beside {beside}")
 
 
 def _decode_base64(text: str, where: str) -> bytes:

@@ -3,10 +3,10 @@
 The columns of a batch stop at their first fault, so a body with a million faults costs no more than a body with one.
 """
 
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
-from pydantic import FailFast, Field
+from pydantic import BeforeValidator, FailFast, Field
 from pydantic.config import JsonDict
 
 from service.errors import InvalidRequestError
@@ -14,6 +14,8 @@ from service.model.reference import ALIAS_PATTERN, NAME_PATTERN, VERSION_PATTERN
 from service.model.tensors import IndexArray
 from service.pushing.contexts import index_contexts
 from service.pushing.poses import (
+    MAX_LENGTH_M,
+    PUSH_LENGTH_M,
     REACH_M,
     WORLD_M,
     DoubleArray,
@@ -22,13 +24,14 @@ from service.pushing.poses import (
     unreachable,
     wrap_angle,
 )
-from service.schemas.body import Body
+from service.schemas.body import Body, at_most
 from service.schemas.contexts import ContextBody
 from service.schemas.rows import MAX_PUSHES, Rows
+from service.schemas.shapes import OUTLINE_EXAMPLE
 
 
 class PusherBody(Body):
-    """Pose of the pusher's tip before the push, in the object frame, or in the world when ``object_pose`` is given."""
+    """Push: pose of the pusher's tip before it, in the object frame, or in the world with ``object_pose``; length."""
 
     x: Annotated[
         float,
@@ -55,6 +58,15 @@ class PusherBody(Body):
             examples=[0.0],
         ),
     ]
+    length: Annotated[
+        float,
+        Field(
+            gt=0.0,
+            le=MAX_LENGTH_M,
+            description="length of the push, in m. Models of any shape know every length, others 0.05 only.",
+            examples=[PUSH_LENGTH_M],
+        ),
+    ] = PUSH_LENGTH_M
 
 
 class ObjectPoseBody(Body):
@@ -99,13 +111,14 @@ class Prediction(Body):
 
 
 class PredictRequest(Prediction):
-    """Request for one push of one object: straight, at constant speed, 50 mm."""
+    """Request for one push of one object: straight, at constant speed, 50 mm unless ``length`` says otherwise."""
 
     pusher: PusherBody
     context: Annotated[
         ContextBody | None,
         Field(
-            description="the object. Leave it out for models without context.", examples=[{"descriptor": "1a2b3c4a"}]
+            description="the object. Leave it out for models without context.",
+            examples=[{"descriptor": "1a2b3c4a"}, {"outline": OUTLINE_EXAMPLE}],
         ),
     ] = None
     object_pose: Annotated[
@@ -122,7 +135,7 @@ class PredictRequest(Prediction):
         pose = self.object_pose
         return None if pose is None else np.array([[pose.x, pose.y, wrap_angle(pose.angle)]])
 
-    def pusher_poses(self) -> DoubleArray:
+    def pusher_poses(self, reach_m: float = REACH_M) -> DoubleArray:
         """Return the pusher pose in the object frame, (1, 3), its angle wrapped.
 
         Raises:
@@ -130,11 +143,29 @@ class PredictRequest(Prediction):
         """
         x, y, angle, frames = self.pusher.x, self.pusher.y, self.pusher.angle, self.object_frames()
         if frames is None:
-            if -REACH_M <= x <= REACH_M and -REACH_M <= y <= REACH_M:
+            if -reach_m <= x <= reach_m and -reach_m <= y <= reach_m:
                 return np.array([[x, y, wrap_angle(angle)]])
-            name, value = ("x", x) if abs(x) > REACH_M else ("y", y)
-            raise InvalidRequestError([unreachable(f"body.pusher.{name}", value)])
-        return reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), frames), "body.pusher")
+            name, value = ("x", x) if abs(x) > reach_m else ("y", y)
+            raise InvalidRequestError([unreachable(f"body.pusher.{name}", value, reach_m)])
+        return reachable(into_object_frame(np.array([[x, y, wrap_angle(angle)]]), frames), "body.pusher", reach_m)
+
+    def lengths_m(self) -> DoubleArray:
+        """Return the length of the push, (1,)."""
+        return np.array([self.pusher.length])
+
+
+_Length = Annotated[float, Field(gt=0.0, le=MAX_LENGTH_M)]
+
+
+def _listed(found: Any) -> Any:
+    """Return a number as a list of one."""
+    return found if isinstance(found, list) else [found]
+
+
+def _one_or_many(schema: dict[str, Any]) -> None:
+    """Add to the schema that one number is accepted as well as a list."""
+    form = {name: schema.pop(name) for name in ("type", "items", "minItems", "maxItems")}
+    schema |= {"anyOf": [form["items"], form], "default": PUSH_LENGTH_M}
 
 
 ContextIndex = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUSHES - 1})]
@@ -151,6 +182,20 @@ class BatchRequest(Prediction):
             examples=[[[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]]],
         ),
     ]
+    lengths: Annotated[
+        list[_Length],
+        Field(
+            min_length=1,
+            max_length=MAX_PUSHES,
+            fail_fast=True,
+            description="length of every push, or one per push, in m. Models of any shape know every length, others "
+            "0.05 only.",
+            examples=[PUSH_LENGTH_M, [0.05, 0.02]],
+            json_schema_extra=_one_or_many,
+        ),
+        BeforeValidator(_listed),
+        at_most(MAX_PUSHES),
+    ] = [PUSH_LENGTH_M]  # noqa: RUF012 (pydantic copies it)
     contexts: Annotated[
         list[ContextBody] | None,
         FailFast(),
@@ -159,7 +204,7 @@ class BatchRequest(Prediction):
             max_length=MAX_PUSHES,
             description="the objects: one for all pushes, one per push, or several with context_index. Leave them out "
             "for models without context.",
-            examples=[[{"descriptor": "1a2b3c4a"}]],
+            examples=[[{"descriptor": "1a2b3c4a"}], [{"outline": OUTLINE_EXAMPLE}]],
         ),
     ] = None
     context_index: Annotated[
@@ -196,7 +241,7 @@ class BatchRequest(Prediction):
             raise InvalidRequestError.at("body.object_poses", received, accepted)
         return reachable(self.object_poses, "body.object_poses", WORLD_M)
 
-    def pusher_poses(self) -> DoubleArray:
+    def pusher_poses(self, reach_m: float = REACH_M) -> DoubleArray:
         """Return the pusher poses in the object frame, (n, 3), their angles wrapped.
 
         Raises:
@@ -204,9 +249,21 @@ class BatchRequest(Prediction):
         """
         frames = self.object_frames()
         if frames is None:
-            return reachable(self.pushers, "body.pushers")
+            return reachable(self.pushers, "body.pushers", reach_m)
         world = reachable(self.pushers, "body.pushers", WORLD_M)
-        return reachable(into_object_frame(world, frames), "body.pushers")
+        return reachable(into_object_frame(world, frames), "body.pushers", reach_m)
+
+    def lengths_m(self) -> DoubleArray:
+        """Return the lengths of the pushes, (1,) for all of them, or (n,).
+
+        Raises:
+            InvalidRequestError: there is neither one length nor one per push.
+        """
+        lengths = np.array(self.lengths)
+        if len(lengths) not in (1, len(self.pushers)):
+            accepted = f"one number, or {len(self.pushers)}: one per push"
+            raise InvalidRequestError.at("body.lengths", f"{len(lengths)} lengths", accepted)
+        return lengths
 
     def context_indices(self) -> IndexArray | None:
         """Return the index of each push's context, (n,), or None if neither contexts nor an index were sent.

@@ -16,14 +16,13 @@ from service.inference.query import ContextBatch
 from service.model.manifest import Manifest
 from service.model.tensors import ContextKind, FloatArray
 from service.pushing.contexts import ObjectContext, index_contexts
-from service.pushing.shape_context import BODY
+from service.pushing.shape_context import BODY, SHAPE_REACH_M
 
 CONTEXT: Final = "context"
 INDEX: Final = "context_index"
 _CACHED_INDICATORS: Final = 4096
 _LEVELS_AT_ONCE: Final = 256  # visual contexts rounded at once: their float64 takes 2 MiB
 _LARGEST_M: Final = 2.0  # of an object
-SHAPE_REACH_M: Final = 10.0  # of corners and pushers, in the caller's frame
 _FLAG: Final = (0.0, 1.0)
 _BODY_RANGES: Final[dict[str, tuple[float, float]]] = {
     "centroid_x": (-SHAPE_REACH_M, SHAPE_REACH_M),

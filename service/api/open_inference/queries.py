@@ -11,17 +11,19 @@ from typing import Any, Final
 import numpy as np
 
 from service.api.open_inference.bodies import InferRequestBody
-from service.api.open_inference.contexts import SHAPE_REACH_M, read_contexts
+from service.api.open_inference.contexts import read_contexts
 from service.api.open_inference.wire import Array, read_inputs, read_json, render
 from service.errors import InvalidRequestError
+from service.inference.pushes import PushFields, push_rows, reach_m
 from service.inference.query import Answer, Query
 from service.inference.snapshot import Snapshot
 from service.model.manifest import Manifest
 from service.model.reference import ModelReference, parse_version
-from service.model.tensors import ContextKind, FloatArray, Gaussians
-from service.pushing.poses import REACH_M, wrap_angles
+from service.model.tensors import Gaussians
+from service.pushing.poses import MAX_LENGTH_M, PUSH_LENGTH_M, DoubleArray, wrap_angles
 
-LENGTH: Final = 3  # column of a pusher with a length
+_LENGTH: Final = 3  # column of a pusher with a length
+_FIELDS: Final = PushFields("inputs pusher[{row}]", "inputs pusher[{row}, 3]")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +80,9 @@ def ask_inference(models: Snapshot, request: InferRequest) -> TensorQuery:
     body, raw = read_json(request.content, request.header_length)
     wanted = _wanted_outputs(body, model.manifest)
     inputs = read_inputs(body, raw, model.manifest.inputs)
-    pushers = _pushers(inputs.get("pusher"), model.manifest)
-    return TensorQuery(model, pushers, read_contexts(model.manifest, inputs, len(pushers)), wanted, body.id)
+    poses, lengths_m = _pushes(inputs.get("pusher"), model.manifest)
+    contexts = read_contexts(model.manifest, inputs, len(poses))
+    return TensorQuery(model, push_rows(model, poses, lengths_m, contexts, _FIELDS), contexts, wanted, body.id)
 
 
 def _wanted_outputs(body: InferRequestBody, manifest: Manifest) -> Mapping[str, bool]:
@@ -97,21 +100,23 @@ def _wanted_outputs(body: InferRequestBody, manifest: Manifest) -> Mapping[str, 
     return wanted
 
 
-def _pushers(given: Array | None, manifest: Manifest) -> FloatArray:
-    """Return pushers (n, 3 or 4) within reach, with wrapped angles."""
+def _pushes(given: Array | None, manifest: Manifest) -> tuple[DoubleArray, DoubleArray]:
+    """Return poses (n, 3) within reach, with wrapped angles, and lengths (n,) or (1,) in m."""
     if given is None:
         columns = manifest.inputs[0].shape[1]
         raise InvalidRequestError.at("inputs", "no tensor pusher", f"pusher, FP32 [n, {columns}]")
-    reach = SHAPE_REACH_M if manifest.context_kind is ContextKind.SHAPE else REACH_M
+    reach = reach_m(manifest.context_kind)
     far = np.abs(given[:, :2]) > reach
     if far.any():
         row = int(np.argwhere(far)[0][0])
         accepted = f"-{reach:g} to {reach:g} m along each of the object's axes"
         raise InvalidRequestError.at(f"inputs pusher[{row}]", "a push out of reach", accepted)
-    outside = (given[:, LENGTH:] <= 0.0) | (given[:, LENGTH:] > reach)
+    pushes = given.astype(np.float64)
+    pushes[:, 2] = wrap_angles(pushes[:, 2])
+    lengths_m = pushes[:, _LENGTH] if pushes.shape[1] > _LENGTH else np.array([PUSH_LENGTH_M])
+    outside = (lengths_m <= 0.0) | (lengths_m > MAX_LENGTH_M)
     if outside.any():
-        row = int(np.argwhere(outside)[0][0])
-        raise InvalidRequestError.at(f"inputs pusher[{row}, {LENGTH}]", "another length", f"above 0, to {reach:g} m")
-    pushers: FloatArray = given.astype(np.float32)
-    pushers[:, 2] = wrap_angles(given[:, 2].astype(np.float64))
-    return pushers
+        row = int(outside.argmax())
+        received, accepted = f"{lengths_m[row]:.6g} m", f"above 0, to {MAX_LENGTH_M:g} m"
+        raise InvalidRequestError.at(_FIELDS.of_length(row), received, accepted)
+    return pushes[:, :_LENGTH], lengths_m

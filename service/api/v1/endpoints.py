@@ -5,11 +5,13 @@ from typing import Final
 
 from starlette.datastructures import Headers as HeadersByName
 
-from service.api.v1.queries import ImageRequest, ask_batch, ask_image, ask_single, describe_view
+from service.api.v1.object_contexts import is_light
+from service.api.v1.queries import ContextRequest, ImageRequest, ask_batch, ask_image, ask_single, describe_view
 from service.api.v1.uploads import Upload, read_upload
 from service.errors import NotAcceptableError, UnsupportedMediaTypeError
 from service.schemas.body import parse_body, validate_body
 from service.schemas.pushes import BatchRequest, PredictRequest
+from service.schemas.shapes import DETAILS, ShapeDetails
 from service.transport.endpoints import LIGHT_BYTES, Endpoint, Headers, HttpRequest, Weight, header
 
 LIGHT_CONTEXTS: Final = 256  # encoded in the event loop
@@ -82,9 +84,19 @@ def _read_upload(request: HttpRequest) -> Upload:
 
 def _read_image_request(request: HttpRequest) -> ImageRequest:
     upload = _read_upload(request)
-    if "pushers" in upload.fields:
-        return ImageRequest(validate_body(BatchRequest, upload.fields), upload.image)
-    return ImageRequest(validate_body(PredictRequest, upload.fields), upload.image)
+    kind: type[BatchRequest] | type[PredictRequest] = BatchRequest if "pushers" in upload.fields else PredictRequest
+    fields = {name: value for name, value in upload.fields.items() if name not in DETAILS}
+    pushes: BatchRequest | PredictRequest = validate_body(kind, fields)
+    return ImageRequest(pushes, upload.image, _read_details(upload))
+
+
+def _read_context_request(request: HttpRequest) -> ContextRequest:
+    upload = _read_upload(request)
+    return ContextRequest(upload.image, _read_details(upload))
+
+
+def _read_details(upload: Upload) -> ShapeDetails:
+    return validate_body(ShapeDetails, {name: value for name, value in upload.fields.items() if name in DETAILS})
 
 
 def _upload_bytes(request: HttpRequest) -> int:
@@ -93,14 +105,12 @@ def _upload_bytes(request: HttpRequest) -> int:
 
 
 def _weigh_single(request: PredictRequest) -> Weight:
-    has_image = request.context is not None and request.context.image is not None
-    return Weight.HEAVY if has_image else Weight.SINGLE
+    return Weight.SINGLE if request.context is None or is_light(request.context) else Weight.HEAVY
 
 
 def _weigh_batch(request: BatchRequest) -> Weight:
     contexts = request.contexts or ()
-    is_light = len(contexts) <= LIGHT_CONTEXTS and all(context.image is None for context in contexts)
-    return Weight.LIGHT if is_light else Weight.HEAVY
+    return Weight.LIGHT if len(contexts) <= LIGHT_CONTEXTS and all(map(is_light, contexts)) else Weight.HEAVY
 
 
 SINGLE: Final = Endpoint(
@@ -131,7 +141,7 @@ IMAGE: Final = Endpoint(
 CONTEXTS: Final = Endpoint(
     "/v1/contexts",
     check=check_plain,
-    read=lambda request: _read_upload(request).image,
+    read=_read_context_request,
     ask=describe_view,
     weigh=lambda _: Weight.HEAVY,
     is_read_quickly=lambda _: False,

@@ -1,25 +1,42 @@
-"""Contexts of requests, encoded as tensors of a model. Descriptors are encoded once and cached, images are timed."""
+"""Contexts of requests, encoded as tensors of a model.
 
-from collections.abc import Sequence
+Descriptors and shapes are encoded once and cached, within bounds. Images are timed.
+"""
+
+from collections.abc import Hashable, Sequence
 from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
+from service.api.v1.shape_cache import ShapeCache
 from service.errors import InvalidRequestError
 from service.inference.query import FIRST_CONTEXT, ContextBatch
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import timed
 from service.pushing.contexts import ObjectContext, VisualContext
 from service.pushing.images import decode, visual_context
+from service.pushing.shape_context import ShapeContext
 from service.schemas.contexts import ContextBody
+from service.schemas.shapes import FoundShape, ShapeDetails, ShapeKey, find_shape
 from service.turns import pause
 
 MAX_IMAGES: Final = 16  # per batch: each keeps a thread busy for milliseconds, or for a large part of a second
+MAX_SHAPES: Final = 1000  # per batch: each takes a thread 2 ms if it has 64 corners, and 60 ms if it has 512
 _CACHED_DESCRIPTORS: Final = 4096  # Omnipush has 250 objects
 _PART: Final = 256  # contexts between two pauses: other work waits for a millisecond
 _FIELD: Final = "body.context"
 _NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, (), None, _FIELD)
+_SHAPES: Final = ShapeCache()
+Tensors = tuple[FloatArray, ...]
+
+
+def is_light(context: ContextBody) -> bool:
+    """Return whether the event loop may encode a context: it is no image, and no shape that was not seen before."""
+    if context.image is not None:
+        return False
+    key = context.key
+    return context.outline is None or (isinstance(key, tuple) and key in _SHAPES)
 
 
 def encode_context(context: ContextBody | None) -> ContextBatch:
@@ -30,54 +47,65 @@ def encode_context(context: ContextBody | None) -> ContextBatch:
     """
     if context is None:
         return _NO_CONTEXT
-    kind, tensor = _encode(context, _FIELD)
-    return ContextBatch(kind, (tensor,), FIRST_CONTEXT, _FIELD)
+    kind, tensors = _encode(context, context.key, _FIELD)
+    return ContextBatch(kind, tensors, FIRST_CONTEXT, _FIELD)
 
 
 def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | None) -> ContextBatch:
-    """Encode the contexts of a batch. A repeated descriptor is encoded once.
+    """Encode the contexts of a batch. A repeated descriptor or outline is encoded once.
 
     Raises:
-        RequestError: a context is not valid, their kinds differ, or more than ``MAX_IMAGES`` of them are images.
+        RequestError: a context is not valid, their kinds differ, more than ``MAX_IMAGES`` of them are images, or more
+            than ``MAX_SHAPES`` are different shapes.
     """
     where = "body.contexts"
     if contexts is None or index is None:
         return ContextBatch(ContextKind.NONE, (), None, where)
     if sum(context.image is not None for context in contexts) > MAX_IMAGES:
-        accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a visual context of each"
+        accepted = f"up to {MAX_IMAGES}; POST /v1/contexts makes a context of each that can be sent instead"
         raise InvalidRequestError.at(where, f"more than {MAX_IMAGES} images", accepted)
     found: ContextKind | None = None
-    tensors = np.empty((0,), dtype=np.float32)
-    known: dict[str, int] = {}
+    together: Tensors = ()
+    known: dict[Hashable, int] = {}
     renumbered = np.empty(len(contexts), dtype=np.int64)
     count = 0
     for number, context in enumerate(contexts):
-        if number % _PART == 0:
+        if number % _PART == 0 or context.is_shape:
             pause()
-        descriptor = context.only_descriptor
-        place = None if descriptor is None else known.get(descriptor)
+        key = context.key
+        place = None if key is None else known.get(key)
         if place is None:
-            kind, tensor = _encode(context, f"{where}.{number}")
+            kind, tensors = _encode(context, key, f"{where}.{number}")
             if found is None:  # room for all of them: a list of tensors and their copy would take twice the memory
-                found, tensors = kind, np.empty((len(contexts), *tensor.shape[1:]), dtype=np.float32)
+                found = kind
+                most = min(len(contexts), MAX_SHAPES) if kind is ContextKind.SHAPE else len(contexts)
+                together = tuple(np.empty((most, *one.shape[1:]), dtype=np.float32) for one in tensors)
             elif kind is not found:
                 received = f"kind {found} at 0 and kind {kind} at {number}"
                 raise InvalidRequestError.at(where, received, "contexts of one kind")
-            tensors[count] = tensor[0]
+            if kind is ContextKind.SHAPE and count == MAX_SHAPES:
+                received = f"more than {MAX_SHAPES} different shapes"
+                raise InvalidRequestError.at(where, received, f"up to {MAX_SHAPES} in one request")
+            for room, tensor in zip(together, tensors, strict=True):
+                room[count] = tensor[0]
             place, count = count, count + 1
-            if descriptor is not None:
-                known[descriptor] = place
+            if key is not None:
+                known[key] = place
         renumbered[number] = place
-    return ContextBatch(found or ContextKind.NONE, (tensors[:count],), renumbered[index], where)
+    return ContextBatch(found or ContextKind.NONE, tuple(room[:count] for room in together), renumbered[index], where)
 
 
-def encode_image(image: bytes, index: IndexArray) -> ContextBatch:
-    """Encode the object in an image file. Blocking: it decodes.
+def encode_image(image: bytes, details: ShapeDetails, index: IndexArray) -> ContextBatch:
+    """Encode the object in an image file: as a shape if the scale of the image is known. Blocking: it decodes.
 
     Raises:
-        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode`` and ``find_shape``.
+        InvalidRequestError: details of a shape came without the scale.
     """
-    return ContextBatch(ContextKind.VISUAL, (read_view(image).tensor()[None],), index, "body.image")
+    if details.metres_per_pixel is not None:
+        return ContextBatch(ContextKind.SHAPE, _tensors(read_shape(image, details).shape), index, "body.image")
+    details.check_without_scale("body")
+    return ContextBatch(ContextKind.VISUAL, _tensors(read_view(image)), index, "body.image")
 
 
 def read_view(image: bytes) -> VisualContext:
@@ -90,20 +118,40 @@ def read_view(image: bytes) -> VisualContext:
         return visual_context(decode(image))
 
 
-def _encode(context: ContextBody, where: str) -> tuple[ContextKind, FloatArray]:
-    """Return kind and tensor (1, ...) of one context."""
-    descriptor = context.only_descriptor
-    if descriptor is not None:
+def read_shape(image: bytes, details: ShapeDetails) -> FoundShape:
+    """Return the object in an image file whose scale is known. Blocking: it decodes.
+
+    Raises:
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError, InvalidRequestError: see ``find_shape``.
+    """
+    with timed("decode"):
+        return find_shape(image, details, "body")
+
+
+def _encode(context: ContextBody, key: str | ShapeKey | None, where: str) -> tuple[ContextKind, Tensors]:
+    """Return kind and tensors (1, ...) of one context."""
+    if isinstance(key, str):
         try:
-            return ContextKind.INDICATOR, _tensor_of(descriptor)
+            return ContextKind.INDICATOR, (_tensor_of(key),)
         except InvalidRequestError:
             pass  # raised again below, with the field
+    elif key is not None and (tensors := _SHAPES.get(key)) is not None:
+        return ContextKind.SHAPE, tensors
     if context.image is None:
         known = context.to_domain(where)
     else:
         with timed("decode"):
             known = context.to_domain(where)
-    return known.kind, known.tensor()[None]
+    tensors = _tensors(known)
+    if isinstance(key, tuple):
+        _SHAPES.put(key, tensors)
+    return known.kind, tensors
+
+
+def _tensors(known: ObjectContext | VisualContext | ShapeContext) -> Tensors:
+    """Return the tensors (1, ...) of one context, in the order of a model's inputs."""
+    found = known.tensors() if isinstance(known, ShapeContext) else (known.tensor(),)
+    return tuple(tensor[None] for tensor in found)
 
 
 @lru_cache(maxsize=_CACHED_DESCRIPTORS)

@@ -10,14 +10,17 @@ from typing import Final
 import numpy as np
 import orjson
 
-from service.api.v1.object_contexts import encode_context, encode_contexts, encode_image, read_view
+from service.api.v1.object_contexts import encode_context, encode_contexts, encode_image, read_shape, read_view
+from service.inference.pushes import PushFields, push_rows, reach_m
 from service.inference.query import FIRST_CONTEXT, Answer, ContextBatch, Query
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
-from service.model.tensors import FloatArray, Gaussians
+from service.model.tensors import ContextKind, FloatArray, Gaussians
 from service.pushing.poses import DoubleArray, into_world_frame
-from service.schemas.contexts import describe_context
+from service.schemas.body import Body
+from service.schemas.image_contexts import describe_context, describe_shape
 from service.schemas.pushes import BatchRequest, Prediction, PredictRequest
+from service.schemas.shapes import ShapeDetails
 
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
 _Array = FloatArray | DoubleArray
@@ -56,13 +59,14 @@ def ask_single(models: Snapshot, request: PredictRequest) -> JsonQuery:
     return _single(_find(models, request, contexts), request, contexts)
 
 
-def ask_model(model: LoadedModel, request: PredictRequest) -> JsonQuery:
-    """Return the query of a single push to this model, even if the request names another.
+def ask_model(find: Callable[[ContextKind], LoadedModel], request: PredictRequest) -> JsonQuery:
+    """Return the query of a single push to the model that is found for its kind of context, whatever it names itself.
 
     Raises:
         RequestError: the push or the context is not valid.
     """
-    return _single(model, request, encode_context(request.context))
+    contexts = encode_context(request.context)
+    return _single(find(contexts.kind), request, contexts)
 
 
 def ask_batch(models: Snapshot, request: BatchRequest) -> JsonQuery:
@@ -72,9 +76,8 @@ def ask_batch(models: Snapshot, request: BatchRequest) -> JsonQuery:
         RequestError: a push, a context or the reference to the model is not valid.
         ModelNotReadyError: see ``Snapshot.find``.
     """
-    pushers = request.pusher_poses()
     contexts = encode_contexts(request.contexts, request.context_indices())
-    return _batch(_find(models, request, contexts), pushers, request, contexts)
+    return _batch(_find(models, request, contexts), request, contexts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +86,7 @@ class ImageRequest:
 
     pushes: PredictRequest | BatchRequest
     image: bytes
+    details: ShapeDetails
 
 
 def ask_image(models: Snapshot, request: ImageRequest) -> JsonQuery:
@@ -94,19 +98,36 @@ def ask_image(models: Snapshot, request: ImageRequest) -> JsonQuery:
     """
     pushes = request.pushes
     if isinstance(pushes, PredictRequest):
-        contexts = encode_image(request.image, FIRST_CONTEXT)
+        contexts = encode_image(request.image, request.details, FIRST_CONTEXT)
         return _single(_find(models, pushes, contexts), pushes, contexts)
-    contexts = encode_image(request.image, np.zeros(len(pushes.pushers), dtype=np.int64))
-    return _batch(_find(models, pushes, contexts), pushes.pusher_poses(), pushes, contexts)
+    contexts = encode_image(request.image, request.details, np.zeros(len(pushes.pushers), dtype=np.int64))
+    return _batch(_find(models, pushes, contexts), pushes, contexts)
 
 
-def describe_view(_models: Snapshot, image: bytes) -> Answer:
+@dataclass(frozen=True, slots=True)
+class ContextRequest:
+    """Request for the context of the object in an image file."""
+
+    image: bytes
+    details: ShapeDetails
+
+
+def describe_view(_models: Snapshot, request: ContextRequest) -> Answer:
     """Answer with the visual context of an image, a thumbnail and quality flags. Blocking: it decodes.
 
+    If the scale of the image is known, answer with its shape context, and with the outline to draw over the image.
+
     Raises:
-        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode``.
+        ImageTooLargeError, UnsupportedImageError, InvalidImageError: see ``images.decode`` and ``find_shape``.
+        InvalidRequestError: details of a shape came without the scale.
     """
-    return Answer(describe_context(read_view(image)).model_dump_json().encode())
+    body: Body
+    if request.details.metres_per_pixel is not None:
+        body = describe_shape(read_shape(request.image, request.details))
+    else:
+        request.details.check_without_scale("body")
+        body = describe_context(read_view(request.image))
+    return Answer(body.model_dump_json(exclude_none=True).encode())
 
 
 def _find(models: Snapshot, request: Prediction, contexts: ContextBatch) -> LoadedModel:
@@ -115,11 +136,16 @@ def _find(models: Snapshot, request: Prediction, contexts: ContextBatch) -> Load
 
 
 def _single(model: LoadedModel, request: PredictRequest, contexts: ContextBatch) -> JsonQuery:
-    return JsonQuery(model, request.pusher_poses().astype(np.float32), contexts, request.object_frames(), _one)
+    poses = request.pusher_poses(reach_m(contexts.kind))
+    rows = push_rows(model, poses, request.lengths_m(), contexts, PushFields("body.pusher", "body.pusher.length"))
+    return JsonQuery(model, rows, contexts, request.object_frames(), _one)
 
 
-def _batch(model: LoadedModel, pushers: DoubleArray, request: BatchRequest, contexts: ContextBatch) -> JsonQuery:
-    return JsonQuery(model, pushers.astype(np.float32), contexts, request.object_frames(), _columns)
+def _batch(model: LoadedModel, request: BatchRequest, contexts: ContextBatch) -> JsonQuery:
+    poses, lengths_m = request.pusher_poses(reach_m(contexts.kind)), request.lengths_m()
+    fields = PushFields("body.pushers.{row}", "body.lengths" if len(lengths_m) == 1 else "body.lengths.{row}")
+    rows = push_rows(model, poses, lengths_m, contexts, fields)
+    return JsonQuery(model, rows, contexts, request.object_frames(), _columns)
 
 
 def _one(mean: _Array, std: _Array, covariance: DoubleArray | None) -> dict[str, object]:

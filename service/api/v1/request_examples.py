@@ -7,9 +7,12 @@ from typing import Any, Final
 
 from service.api.v1.uploads import FORM_TYPE, IMAGE_TYPES
 from service.schemas.contexts import IMAGE_EXAMPLE, INDICATOR_EXAMPLE
+from service.schemas.shapes import DETAILS, L_EXAMPLE, OUTLINE_EXAMPLE, SCALE
 
 _PUSHER: Final = {"x": -0.075, "y": 0.0, "angle": 0.0}
 _DESCRIPTOR: Final = {"descriptor": "1a2b3c4a"}
+_BOX: Final = {"outline": OUTLINE_EXAMPLE}
+_L: Final = {"outline": L_EXAMPLE, "friction": 0.3}
 _FILES: Final = {
     "image/png": IMAGE_EXAMPLE,
     "image/jpeg": "/9j/4AAQSkZJRgABAQAAAQABAAD/2wBDABsSFBcUERsXFhceHBsgKEIrKCUlKFE6PTBCYFVlZF9VXVtqeJmBanGQc1tdhbWGkJ6j"
@@ -33,6 +36,14 @@ ONE_PUSH: Final = _request(
             "model": "push-indicator@1",
         },
         "an object in an image": {"pusher": _PUSHER, "context": {"image": IMAGE_EXAMPLE}},
+        "an object of any shape by its outline, a push of 20 mm": {
+            "pusher": {"x": -0.1, "y": 0.0, "angle": 0.0, "length": 0.02},
+            "context": _BOX,
+        },
+        "an object of any shape in an image with its scale": {
+            "pusher": {"x": -0.01, "y": 0.0, "angle": 0.0, "length": 0.02},
+            "context": {"image": IMAGE_EXAMPLE, "metres_per_pixel": 0.0005},
+        },
         "an unknown object": {"pusher": _PUSHER},
         "in the world": {
             "pusher": {"x": 0.4, "y": 0.025, "angle": 1.5708},
@@ -48,6 +59,12 @@ MANY_PUSHES: Final = _request(
             "pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708], [0.0, 0.075, -1.5708]],
             "contexts": [_DESCRIPTOR, {"descriptor": "4a4a4a4a"}],
             "context_index": [0, 1, 0],
+        },
+        "of objects of any shape, pushes of several lengths": {
+            "pushers": [[-0.1, 0.0, 0.0], [-0.1, 0.01, 0.0], [0.0, -0.1, 1.5708]],
+            "lengths": [0.02, 0.05, 0.1],
+            "contexts": [_BOX, _L],
+            "context_index": [0, 0, 1],
         },
         "in the world": {
             "pushers": [[0.325, 0.1, 0.0], [0.4, 0.025, 1.5708]],
@@ -88,20 +105,33 @@ def _rows(name: str) -> dict[str, Any]:
     }
 
 
+_DETAILS: Final = {name: {"$ref": f"#/components/schemas/ContextBody/properties/{name}"} for name in DETAILS}
+_SCALED: Final = {name: [SCALE] for name in DETAILS if name != SCALE}
 _PUSH_FORM: Final = _form(
     {
         "pusher": {"$ref": "#/components/schemas/PusherBody"},
         "object_pose": {"$ref": "#/components/schemas/ObjectPoseBody"},
         "pushers": _rows("pushers"),
+        "lengths": _rows("lengths"),
         "object_poses": _rows("object_poses"),
+        **_DETAILS,
         "model": {"$ref": "#/components/schemas/PredictRequest/properties/model"},
     },
     {
         "oneOf": [{"required": ["pusher"]}, {"required": ["pushers"]}],
-        "dependentRequired": {"object_pose": ["pusher"], "object_poses": ["pushers"]},
+        "dependentRequired": {
+            "object_pose": ["pusher"],
+            "object_poses": ["pushers"],
+            "lengths": ["pushers"],
+            **_SCALED,
+        },
     },
     {
         "one push": {"pusher": _PUSHER},
+        "one push of an object of any shape": {
+            "pusher": {"x": -0.01, "y": 0.0, "angle": 0.0, "length": 0.02},
+            "metres_per_pixel": 0.0005,
+        },
         "many pushes, in the world": {
             "pushers": "[[0.325, 0.1, 0.0], [0.4, 0.025, 1.5708]]",
             "object_poses": "[[0.4, 0.1, 0.0]]",
@@ -114,7 +144,9 @@ IMAGE_UPLOAD: Final = {
     "requestBody": {
         "required": True,
         "content": {
-            FORM_TYPE: _form({}, {}, {"a file": {}}),
+            FORM_TYPE: _form(
+                _DETAILS, {"dependentRequired": _SCALED}, {"a file": {}, "a file with its scale": {SCALE: 0.0005}}
+            ),
             **{
                 kind: {
                     "schema": {"type": "string", "format": "binary"},

@@ -29,7 +29,7 @@ from service.errors import (
     UnsupportedImageError,
     UnsupportedMediaTypeError,
 )
-from service.schemas.contexts import VisualContextBody
+from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
 from service.schemas.predictions import BatchResponse, PredictResponse
 from service.schemas.problems import ProblemBody
@@ -110,15 +110,17 @@ async def predict_image() -> None:
 
 @predictions.post(
     "/v1/contexts",
-    summary="Convert an image into a visual context",
-    response_model=VisualContextBody,
+    summary="Convert an image into a context",
+    response_model=VisualContextBody | OutlineContextBody,
     responses=problems(ProblemBody, *_UPLOADED),
     openapi_extra=IMAGE_UPLOAD,
 )
 async def make_context() -> None:
     """Convert a top-down image into the visual context that predictions take.
 
-    The answer also has a thumbnail of the context, and flags for faults of the image.
+    The answer also has a thumbnail of the context, and flags for faults of the image. With `metres_per_pixel`, the
+    scale of the image, the answer is instead the outline of the object: as a context that predictions take, and in
+    pixels, to draw over the image.
     """
 
 

@@ -16,12 +16,13 @@ from starlette.datastructures import Headers
 
 from service.errors import InvalidRequestError, MalformedBodyError, UnsupportedMediaTypeError
 from service.schemas.documents import parse_json
+from service.schemas.shapes import DETAILS
 
 IMAGE_TYPES: Final = ("image/png", "image/jpeg", "image/webp")
 FORM_TYPE: Final = "multipart/form-data"
 MAX_PREAMBLE_BYTES: Final = 1 << 16
 MAX_HEADER_LENGTH: Final = 1000  # of the header Content-Type, whose parameters take a time quadratic in it
-_JSON_FIELDS: Final = frozenset(("pusher", "pushers", "object_pose", "object_poses"))
+_JSON_FIELDS: Final = frozenset(("pusher", "pushers", "lengths", "object_pose", "object_poses", *DETAILS))
 _FIELDS: Final = _JSON_FIELDS | {"model"}
 _CHARSET_FIELD: Final = "_charset_"  # RFC 7578, section 4.6: browsers name the charset of all texts in it
 _PARTS: Final = _FIELDS | {"image", _CHARSET_FIELD}

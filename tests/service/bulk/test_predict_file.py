@@ -1,5 +1,6 @@
 """Tests of bulk prediction: whole files, row order, equal bytes on every executor, and the row of an error."""
 
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,9 @@ from service.cli.main import main
 from service.client import Client
 from service.model.tensors import ContextKind
 from service.registry.registry import Registry
+from service.schemas.contexts import ContextBody
 from tests.ray_cluster import NodeLossExecutor, TwoNodes
+from tests.served_graphs import publish_missing
 
 ROWS = 9 * CHUNK_ROWS + 17
 OBJECTS = np.array([f"{a}a{b}b4c1a" for a in "1234" for b in "1234"])
@@ -293,3 +296,80 @@ def test_missing_extra_is_one_line(tmp_path: Path, registry: Path, monkeypatch: 
     without_pyarrow = CliRunner().invoke(main, arguments)
     assert without_pyarrow.stderr == "Error: --parquet needs the extra 'parquet': pip install 'cazsl[parquet]'\n"
     assert not target.exists()
+
+
+BOX = '{"outline": [[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06, -0.04]]}'
+L = '{"outline": [[-0.05, -0.05], [0.05, -0.05], [0.05, -0.02], [-0.02, -0.02], [-0.02, 0.05], [-0.05, 0.05]]}'
+
+
+def shapes(**columns: Any) -> pa.Table:
+    """Make a table of pushes of two outlines with lengths. A keyword replaces a column, or drops it if it is None."""
+    found = {
+        "x_m": [-0.1, -0.1, -0.1],
+        "y_m": [0.0, 0.01, 0.0],
+        "angle_rad": [0.0, 0.1, 0.0],
+        "length_m": [0.05, 0.1, 0.02],
+        "context": [BOX, L, BOX],
+        **columns,
+    }
+    return pa.table({name: column for name, column in found.items() if column is not None})
+
+
+@pytest.fixture(scope="module")
+def with_shapes(tmp_path_factory: pytest.TempPathFactory, project_root: Path) -> Path:
+    """A registry of a model of shapes and one of descriptors."""
+    root = tmp_path_factory.mktemp("registry") / "models"
+    shutil.copytree(project_root / "models", root)
+    publish_missing(Registry(root))
+    return root
+
+
+def test_shapes_are_predicted_with_their_lengths(with_shapes: Path, tmp_path: Path) -> None:
+    """A column of contexts in JSON is predicted by the model of shapes, as the client predicts the same pushes."""
+    result = predict(shapes(), tmp_path / "out.parquet", with_shapes)
+    assert result.exit_code == 0, result.output
+    found = pq.read_table(tmp_path / "out.parquet")
+    assert found.schema.metadata[b"cazsl.model"] == b"push-shape"
+    given = shapes()
+    with Client.local(str(with_shapes)) as client:
+        contexts = [ContextBody.model_validate_json(text) for text in given["context"].to_pylist()]
+        poses = np.column_stack([given[name] for name in ("x_m", "y_m", "angle_rad")])
+        answer = client.predict_batch(poses, contexts, lengths=given["length_m"].to_numpy())
+    predicted = np.column_stack([found[name].to_numpy() for name in PREDICTED_COLUMNS])
+    np.testing.assert_allclose(predicted, np.hstack([answer.mean, answer.std]), rtol=1e-4, atol=1e-6)
+
+
+def test_lengths_may_be_left_out(with_shapes: Path, tmp_path: Path) -> None:
+    """Without a column of lengths every push is one of 50 mm."""
+    tables = shapes(length_m=None), shapes(length_m=[0.05] * 3)
+    for number, table in enumerate(tables):
+        assert predict(table, tmp_path / f"{number}.parquet", with_shapes).exit_code == 0
+    first, second = (pq.read_table(tmp_path / f"{number}.parquet") for number in range(2))
+    assert first.select(PREDICTED_COLUMNS).equals(second.select(PREDICTED_COLUMNS))
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"context": [BOX, "{", BOX]}, "row 1 (counted from 0), column context: received a text that is no context"),
+        ({"context": [BOX, '{"outline": [[0, 0], [1, 1]]}', BOX]}, "row 1 (counted from 0), column context.outline"),
+        ({"context": [BOX, '{"descriptor": "1a2b3c4a"}', BOX]}, "column context: received a context of kind indicator"),
+        ({"context": [BOX, L, None]}, "row 2 (counted from 0), column context: received an empty cell"),
+        ({"context": [1, 2, 3]}, "column context: received int64"),
+        ({"length_m": [0.05, 0.0, 0.05]}, "row 1 (counted from 0), column length_m: received 0 m"),
+        ({"length_m": [0.05, None, 0.05]}, "row 1 (counted from 0), column length_m: received an empty cell"),
+        ({"length_m": ["a", "b", "c"]}, "column length_m: received string"),
+        ({"x_m": [-0.1, -0.1, 0.01]}, "row 2 (counted from 0), column x_m: received a pusher that starts inside"),
+        ({"x_m": [-0.1, 11.0, -0.1]}, "row 1 (counted from 0), column x_m: received 11 m"),
+        ({"context": None, "descriptor": ["1a2b3c4a"] * 3}, "row 1 (counted from 0), column length_m: received 0.1 m"),
+        ({"descriptor": ["1a2b3c4a"] * 3}, "received columns descriptor and context"),
+    ],
+)
+def test_an_invalid_shape_or_length_names_its_row(
+    with_shapes: Path, tmp_path: Path, columns: dict[str, Any], message: str
+) -> None:
+    """The first invalid row is named with its column, and no file is written."""
+    result = predict(shapes(**columns), tmp_path / "out.parquet", with_shapes)
+    assert result.exit_code == 1
+    assert message in result.output
+    assert not (tmp_path / "out.parquet").exists()

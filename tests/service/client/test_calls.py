@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 
 from service.client import calls
+from service.client.arguments import Context, ScaledDetails
 from service.client.errors import ProblemError, UnreadableAnswerError
-from service.schemas.contexts import ContextBody, VisualContextBody
+from service.schemas.contexts import ContextBody
+from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
+from service.schemas.shapes import OUTLINE_EXAMPLE
 
 PUSHERS = np.array([[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]])
 SEEN = VisualContextBody(visual="AAAA", thumbnail_png="AAAA", flags=[])
+FOUND = OutlineContextBody(context=ContextBody(outline=OUTLINE_EXAMPLE), outline_pixels=OUTLINE_EXAMPLE, flags=[])
 BATCH = {
     "model": {"name": "push-indicator", "version": 1},
     "frame": "object",
@@ -40,15 +44,38 @@ def test_every_form_of_array_is_sent_alike(array: Any) -> None:
         ("1a2b3c4a", {"descriptor": "1a2b3c4a"}),
         (ContextBody(image="AAAA"), {"image": "AAAA"}),
         (SEEN, {"visual": "AAAA"}),
+        (ContextBody(outline=OUTLINE_EXAMPLE, friction=0.3), {"outline": OUTLINE_EXAMPLE, "friction": 0.3}),
+        (FOUND, {"outline": OUTLINE_EXAMPLE}),
     ],
 )
-def test_every_form_of_context_is_sent(context: calls.Context, document: dict[str, str]) -> None:
+def test_every_form_of_context_is_sent(context: Context, document: dict[str, Any]) -> None:
     """A context in any form is sent for one push, for all pushes, and as one of several with an index."""
     assert sent(calls.predict([0, 0, 0], context, None, None))["context"] == document
     assert sent(calls.predict_batch(PUSHERS, context, None, None, None))["contexts"] == [document]
     several = sent(calls.predict_batch(PUSHERS, [context, context], np.array([1, 0]), None, None))
     assert several["contexts"] == [document, document]
     assert several["context_index"] == [1, 0]
+
+
+def test_lengths_are_sent_as_one_number_or_one_per_push() -> None:
+    """A length goes with its pusher, and lengths are a column. Left out, they are not sent."""
+    assert sent(calls.predict([0, 0, 0], None, None, None, 0.02))["pusher"]["length"] == 0.02
+    for lengths, found in ((0.02, 0.02), ([0.02, 0.03], [0.02, 0.03]), (np.array([0.02, 0.03]), [0.02, 0.03])):
+        assert sent(calls.predict_batch(PUSHERS, None, None, None, None, lengths))["lengths"] == found
+    assert "lengths" not in sent(calls.predict_batch(PUSHERS, None, None, None, None))
+    for faulty in (np.nan, [[0.02]], "long"):
+        with pytest.raises(ProblemError, match=r"lengths: received"):
+            calls.predict_batch(PUSHERS, None, None, None, None, faulty)
+
+
+def test_details_of_an_image_are_fields_of_its_form() -> None:
+    """Scale and properties are sent in JSON beside the file, for predictions and for a context."""
+    details: ScaledDetails = {"metres_per_pixel": 0.0005, "centre_of_mass": np.array([0.01, 0.0])}
+    for call in (calls.predict_image(b"", PUSHERS, None, None, 0.02, details), calls.find_outline(b"", details)):
+        assert json.loads(call.body["data"]["metres_per_pixel"]) == 0.0005
+        assert json.loads(call.body["data"]["centre_of_mass"]) == [0.01, 0.0]
+    with pytest.raises(ProblemError, match=r"friction: received"):
+        calls.find_outline(b"", {"metres_per_pixel": 0.0005, "friction": np.nan})
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from service.errors import InvalidImageError, InvalidRequestError
 from service.pushing.contexts import VISUAL_SIZE, ObjectContext, VisualContext
 from service.pushing.images import decode, visual_context
-from service.schemas.contexts import IMAGE_EXAMPLE, INDICATOR_EXAMPLE, ContextBody, VisualContextBody, describe_context
+from service.schemas.contexts import IMAGE_EXAMPLE, INDICATOR_EXAMPLE, ContextBody
 
 LEVELS = bytes(range(256)) * 4
 TEXT = base64.b64encode(LEVELS).decode()
@@ -31,7 +31,7 @@ PIECE_BYTES = (1 << 18) // 4 * 3  # of a text that is decoded at once
     ids=["descriptor", "indicator", "base64", "rows", "image", "null beside it"],
 )
 def test_every_form_becomes_a_context(body: dict[str, Any], expected: ObjectContext | VisualContext) -> None:
-    """Each of the four forms becomes a context of the domain, and a form that is null counts as absent."""
+    """Each form becomes a context of the domain, and a form that is null counts as absent."""
     assert ContextBody.model_validate(body).to_domain() == expected
 
 
@@ -79,16 +79,8 @@ def test_an_image_that_cannot_be_decoded_is_refused_by_its_field() -> None:
 
 
 def test_a_descriptor_alone_is_found_for_the_cache() -> None:
-    """Only a context with a descriptor and no other form has a cached tensor."""
-    assert ContextBody(descriptor="1a2b3c4a").only_descriptor == "1a2b3c4a"
-    assert ContextBody(indicator=INDICATOR_EXAMPLE).only_descriptor is None
-    assert ContextBody(descriptor="1a2b3c4a", visual=TEXT).only_descriptor is None
-
-
-def test_the_body_of_a_visual_context_can_be_sent_as_a_context() -> None:
-    """The described levels are a valid context, and the examples of the document are those of its example image."""
-    context = visual_context(decode(PICTURE))
-    body = describe_context(context)
-    assert ContextBody(visual=body.visual).to_domain() == context
-    for name, value in body:
-        assert VisualContextBody.model_fields[name].examples == [value]
+    """Only a context with a descriptor and no other field has it as its key."""
+    assert ContextBody(descriptor="1a2b3c4a").key == "1a2b3c4a"
+    assert ContextBody(indicator=INDICATOR_EXAMPLE).key is None
+    assert ContextBody(descriptor="1a2b3c4a", visual=TEXT).key is None
+    assert ContextBody(descriptor="1a2b3c4a", friction=0.3).key is None

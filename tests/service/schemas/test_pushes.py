@@ -54,6 +54,32 @@ def test_pusher_poses_in_the_world_are_changed_into_the_frame_of_their_object() 
         assert found == pytest.approx(into_object_frame(pushers, poses))
 
 
+def test_lengths_are_one_for_all_or_one_per_push() -> None:
+    """Lengths that are left out are 50 mm, and one number counts for all pushes."""
+    assert single(ORIGIN).lengths_m().tolist() == batch(pushers=[ORIGIN] * 3).lengths_m().tolist() == [0.05]
+    assert parse_body(PredictRequest, b'{"pusher": {"x": 0, "y": 0, "angle": 0, "length": 0.1}}').lengths_m() == 0.1
+    assert batch(pushers=[ORIGIN] * 3, lengths=0.1).lengths_m().tolist() == [0.1]
+    assert batch(pushers=[ORIGIN] * 2, lengths=[0.1, 1]).lengths_m().tolist() == [0.1, 1.0]
+    with pytest.raises(InvalidRequestError, match=r"^body\.lengths: received 2 lengths"):
+        batch(pushers=[ORIGIN] * 3, lengths=[0.1, 0.2]).lengths_m()
+
+
+@pytest.mark.parametrize("length", [0, -0.05, 1.01, "0.05", None, True, [], [0.05, 0.0], [[0.05]], [0.05] * 10_001])
+def test_a_length_that_is_none_is_refused(length: Any) -> None:
+    """Zero, negative and long pushes, and values that are no numbers, are refused by their field."""
+    with pytest.raises(InvalidRequestError, match=r"^body\.lengths"):
+        batch(pushers=[ORIGIN] * 2, lengths=length)
+
+
+def test_pushers_of_shapes_may_be_farther_from_the_origin() -> None:
+    """The frame of a shape is the caller's, so the reach of a pusher is a matter of the kind of context."""
+    far = [5.0, 0.0, 0.0]
+    assert single(far).pusher_poses(10.0).tolist() == batch(pushers=[far]).pusher_poses(10.0).tolist() == [far]
+    for found in (single(far), batch(pushers=[far])):
+        with pytest.raises(InvalidRequestError, match="received 5 m"):
+            found.pusher_poses()
+
+
 def test_rows_are_not_changed_when_poses_are_computed() -> None:
     """A request stays as it was sent, however often its poses are computed."""
     found = batch(pushers=[[0.1, 0.2, 7.0]], object_poses=[[0.1, 0.1, -9.0]])

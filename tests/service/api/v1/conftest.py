@@ -25,9 +25,10 @@ def shipped(project_root: Path) -> Iterator[TestClient]:
 
 @pytest.fixture(scope="module")
 def faked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
-    """Return a client of the application over fake models, with a visual one."""
+    """Return a client of the application over fake models of every kind of context."""
     registry, models = fake_models(tmp_path_factory.mktemp("models"))
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
+    publish_fake(registry, "push-shape", ContextKind.SHAPE)
     models.refresh()
     with TestClient(create_app(Settings(poll_interval_s=3600), models), raise_server_exceptions=False) as found:
         yield found

@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 from fastapi.testclient import TestClient
 
-from service.api.v1.object_contexts import encode_context, encode_contexts
+from service.api.v1 import endpoints, object_contexts
+from service.api.v1.object_contexts import MAX_SHAPES, encode_context, encode_contexts, is_light
 from service.errors import InvalidRequestError
 from service.model.tensors import ContextKind
 from service.observability.timings import Timings, collect_timings
 from service.pushing.contexts import ObjectContext
+from service.pushing.outlines import Outline
+from service.pushing.shape_context import ShapeContext
 from service.schemas.contexts import IMAGE_EXAMPLE, ContextBody
+from service.schemas.pushes import BatchRequest, PredictRequest, PusherBody
+from service.transport.endpoints import Weight
 from tests.service.api.v1.requests import answer, batch, fault
 
 INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
@@ -100,3 +105,53 @@ def test_only_images_are_timed() -> None:
     encode_context(ContextBody(descriptor="1a2b3c4a"))
     encode_context(ContextBody(image=IMAGE_EXAMPLE))
     assert [phase for phase, _ in timings] == ["decode"]
+
+
+def square(number: int) -> ContextBody:
+    """Return one of many different squares, which no other test sends."""
+    side = 0.03 + number * 1e-6
+    return ContextBody(outline=[[side, side], [-side, side], [-side, -side], [side, -side]], friction=0.777)
+
+
+def test_a_shape_that_was_seen_has_the_same_tensors() -> None:
+    """Pushes of one outline share tensors, so that a micro-batch has them once. A corner more makes another object."""
+    first, second = (encode_context(square(1)) for _ in range(2))
+    assert first.kind is ContextKind.SHAPE
+    assert all(one is other for one, other in zip(first.tensors, second.tensors, strict=True))
+    expected = ShapeContext(Outline.of(square(1).outline or []), friction=0.777).tensors()
+    assert [tensor[0].tolist() for tensor in first.tensors] == [tensor.tolist() for tensor in expected]
+    assert encode_context(square(2)).tensors[0] is not first.tensors[0]
+
+
+def test_a_repeated_outline_is_encoded_once() -> None:
+    """The batch has the tensors of each distinct shape, and the index names it for each push."""
+    found = encode_contexts([square(1), square(3), square(1)], np.array([2, 1, 0, 2]))
+    assert [tensor.shape for tensor in found.tensors] == [(2, 1, 32, 32), (2, 64, 2), (2, 11)]
+    assert found.index is not None
+    assert found.index.tolist() == [0, 1, 0, 0]
+
+
+def test_only_shapes_that_were_seen_are_encoded_in_the_event_loop() -> None:
+    """A new outline goes to a thread with its push, alone and in a batch. Once it was seen, it does not."""
+    new, pusher = square(4), PusherBody(x=-0.1, y=0.0, angle=0.0)
+    assert not is_light(new)
+    one = PredictRequest(pusher=pusher, context=new)
+    many = BatchRequest(pushers=[[-0.1, 0.0, 0.0]], contexts=[ContextBody(descriptor="1a2b3c4a"), new])  # type: ignore[arg-type]
+    assert endpoints.SINGLE.weigh(one) is Weight.HEAVY
+    assert endpoints.BATCH.weigh(many) is Weight.HEAVY
+    encode_context(new)
+    assert endpoints.SINGLE.weigh(one) is Weight.SINGLE
+    assert endpoints.BATCH.weigh(many) is Weight.LIGHT
+
+
+def test_the_number_of_different_shapes_in_a_batch_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Repeated shapes do not count. One shape too many is refused before it is encoded, and threads pause for each."""
+    monkeypatch.setattr(object_contexts, "MAX_SHAPES", 3)
+    pauses: list[int] = []
+    monkeypatch.setattr(object_contexts, "pause", lambda: pauses.append(1))
+    few = [square(5), square(6), square(7)]
+    assert encode_contexts(few * 3, np.arange(9)).count == 3
+    assert len(pauses) == 9
+    with pytest.raises(InvalidRequestError, match="more than 3 different shapes"):
+        encode_contexts([*few, square(8)], np.arange(4))
+    assert MAX_SHAPES == 1000

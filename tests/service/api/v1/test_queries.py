@@ -13,11 +13,18 @@ from hypothesis import strategies as st
 
 from service.pushing.contexts import ObjectContext
 from service.schemas.predictions import BatchResponse, PredictResponse
-from tests.service.api.v1.requests import answer, batch, fault, single
+from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
+from tests.service.api.v1.requests import answer, batch, fault, problem, single
+from tests.service.schemas.test_shapes import box_picture
 
 DESCRIPTORS = ("1a2b3c4a", "4a4a4a4a", "2B1c3a4b", "3c3a3a3b")
 INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 LEVELS = bytes(range(256)) * 4
+BOX = {"outline": OUTLINE_EXAMPLE}
+L = {"outline": L_EXAMPLE, "friction": 0.3}
+PUSHER = {"x": -0.1, "y": 0.0, "angle": 0.0}
+ROW = [-0.1, 0.0, 0.0]
+SCALE = {"metres_per_pixel": "0.0005"}
 
 pushers = st.tuples(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2), st.floats(-7.0, 7.0)).map(list)
 batches = st.lists(st.tuples(pushers, st.integers(0, len(DESCRIPTORS) - 1)), min_size=1, max_size=12)
@@ -194,3 +201,95 @@ def test_an_answer_has_the_documented_schema(shipped: TestClient) -> None:
         BatchResponse.model_validate_json(json.dumps(batch(shipped, **rows, **extra)))
     one = single(shipped, [-0.075, 0.0, 0.0], "1a2b3c4a")
     PredictResponse.model_validate_json(json.dumps(one))
+
+
+def test_an_outline_is_answered_by_the_model_of_shapes(faked: TestClient) -> None:
+    """One push and a batch of one agree, and the answer names the model and the frame."""
+    one = answer(faked, "/v1/predict", {"pusher": {**PUSHER, "length": 0.02}, "context": L})
+    assert one["model"]["name"] == "push-shape"
+    assert one["frame"] == "object"
+    many = batch(faked, pushers=[ROW], lengths=[0.02], contexts=[L])
+    assert many["mean"] == [list(one["mean"].values())]
+
+
+def test_objects_of_different_outlines_are_mixed_in_a_batch(faked: TestClient) -> None:
+    """Contexts by index and one per push give the same rows, and each row is that of its own object."""
+    by_index = batch(faked, pushers=[ROW] * 3, contexts=[BOX, L], context_index=[0, 1, 0])
+    per_push = batch(faked, pushers=[ROW] * 3, contexts=[BOX, L, BOX])
+    assert by_index == per_push
+    assert by_index["mean"][0] == by_index["mean"][2] != by_index["mean"][1]
+
+
+def test_the_frame_of_a_shape_is_the_callers(faked: TestClient) -> None:
+    """Pushers far from the origin are accepted, and with a pose of the object all is in the world."""
+    far = {"outline": [[x + 4.0, y] for x, y in OUTLINE_EXAMPLE]}
+    found = answer(faked, "/v1/predict", {"pusher": {**PUSHER, "x": 3.9}, "context": far})
+    assert found["mean"]["x"] == pytest.approx(-0.39)
+    pose = {"x": 1.0, "y": 2.0, "angle": 0.0}
+    pusher = {**PUSHER, "x": 4.9, "y": 2.0}
+    world = answer(faked, "/v1/predict", {"pusher": pusher, "context": far, "object_pose": pose})
+    assert world["frame"] == "world"
+    assert world["mean"]["x"] == pytest.approx(1.0 - 0.39)
+
+
+@pytest.mark.parametrize(
+    ("body", "where", "received"),
+    [
+        ({"pusher": {**PUSHER, "x": 0.02}, "context": BOX}, "body.pusher", "starts inside"),
+        ({"pusher": {**PUSHER, "x": 11.0}, "context": BOX}, "body.pusher.x", "11 m"),
+        ({"pusher": {**PUSHER, "length": 0.0}, "context": BOX}, "body.pusher.length", "0"),
+        ({"pusher": {**PUSHER, "length": 0.02}, "context": {"descriptor": "1a2b3c4a"}}, "body.pusher.length", "0.02 m"),
+        ({"pusher": {**PUSHER, "length": 0.02}}, "body.pusher.length", "0.02 m"),
+        ({"pusher": PUSHER, "context": {"outline": OUTLINE_EXAMPLE[::2]}}, "body.context.outline", "2 values"),
+        ({"pusher": PUSHER, "context": {"outline": [[0, 0], [1, 1], [0, 1], [1, 0]]}}, "body.context.outline", "cross"),
+    ],
+)
+def test_a_push_of_a_shape_that_is_not_valid_is_refused(
+    faked: TestClient, body: dict[str, Any], where: str, received: str
+) -> None:
+    """The fault names the field and describes the value."""
+    found = fault(faked.post("/v1/predict", json=body))
+    assert found[0] == where
+    assert received in found[1]
+
+
+def test_the_first_push_that_starts_inside_is_named_by_its_row(faked: TestClient) -> None:
+    """Of two pushes inside of their objects, the first is named, and only its own object counts."""
+    body = {"pushers": [[0.03, 0.03, 0.0]] * 3, "contexts": [L, BOX], "context_index": [0, 1, 1]}
+    assert fault(faked.post("/v1/predict/batch", json=body))[0] == "body.pushers.1"
+
+
+def test_kinds_of_context_are_not_mixed(faked: TestClient) -> None:
+    """A batch of an outline and a descriptor is refused, and so is an outline for another model."""
+    mixed = {"pushers": [ROW] * 2, "contexts": [BOX, {"descriptor": "1a2b3c4a"}]}
+    assert fault(faked.post("/v1/predict/batch", json=mixed))[1] == "kind shape at 0 and kind indicator at 1"
+    other = {"pusher": PUSHER, "context": BOX, "model": "push-indicator"}
+    problem(faked.post("/v1/predict", json=other), 422, "wrong_context_kind")
+
+
+def test_an_image_with_its_scale_is_the_outline_that_contexts_returns(faked: TestClient) -> None:
+    """Form, JSON, and the context of the image, sent again, give the same answer."""
+    image, details = box_picture(), SCALE | {"friction": "0.2"}
+    seen = faked.post("/v1/contexts", files={"image": image}, data=details)
+    assert seen.status_code == 200, seen.text
+    assert set(seen.json()) == {"context", "outline_pixels", "flags"}
+    again = answer(faked, "/v1/predict", {"pusher": PUSHER, "context": seen.json()["context"]})
+    form = faked.post(
+        "/v1/predict/image", files={"image": image}, data=details | {"pusher": str(PUSHER).replace("'", '"')}
+    )
+    assert form.json() == again
+    context = {"image": base64.b64encode(image).decode(), "metres_per_pixel": 0.0005, "friction": 0.2}
+    assert answer(faked, "/v1/predict", {"pusher": PUSHER, "context": context}) == again
+    many = {"pushers": str([ROW] * 2), "lengths": "[0.05, 0.02]"}
+    found = faked.post("/v1/predict/image", files={"image": image}, data=details | many).json()
+    assert found["mean"][0] == list(again["mean"].values())
+    visual = faked.post("/v1/predict/image", files={"image": image}, data={"pushers": str([ROW])}).json()
+    assert visual["model"]["name"] == "push-visual"
+
+
+@pytest.mark.parametrize("path", ["/v1/contexts", "/v1/predict/image"])
+def test_details_without_a_scale_or_not_valid_are_refused(faked: TestClient, path: str) -> None:
+    """Friction needs the scale of the image, and a scale is a positive number."""
+    pusher = {} if path == "/v1/contexts" else {"pushers": str([ROW])}
+    for data, where in (({"friction": "0.3"}, "body.friction"), ({"metres_per_pixel": "0"}, "body.metres_per_pixel")):
+        assert fault(faked.post(path, files={"image": box_picture()}, data=pusher | data))[0] == where

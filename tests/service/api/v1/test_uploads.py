@@ -328,7 +328,7 @@ REFUSED_FORMS: dict[str, tuple[str, bytes, int, str]] = {
     "nine headers": (BOUNDED_FORM, pusher_part(*(b"X-%d: y" % n for n in range(8))), 400, "body: received another"),
     "a long header": (BOUNDED_FORM, pusher_part(b"X: " + b"y" * 5000), 400, "body: received another"),
     "a long preamble": (BOUNDED_FORM, b"p" * (1 << 16) + b"\r\n" + FORM, 400, "another boundary"),
-    "many parts": (BOUNDED_FORM, part(b"model", b"") * 9 + END, 400, "too many parts"),
+    "many parts": (BOUNDED_FORM, part(b"model", b"") * 20 + END, 400, "too many parts"),
 }
 
 
