@@ -1,4 +1,4 @@
-"""Serving compared with other servers: single pushes, batches, pushes while images are decoded, start and memory.
+"""Serving compared with other servers: single pushes, batches, outlines, pushes while images are decoded, start.
 
     python -m benchmarks.serving [--rounds 7] [--seconds 2] [--part images] [--peer litserve=PYTHON] ...
 
@@ -33,7 +33,16 @@ from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 
 ROWS = 1000
 CONNECTIONS = 16
-PARTS = ("singles", "batches", "images", "start")
+CORNERS = 64
+PARTS = ("singles", "batches", "shapes", "images", "start")
+EMPTY = "(a) empty FastAPI endpoint, same schemas"
+_VARIED = """
+local number = 0
+request = function()
+  number = number + 1
+  return wrk.format(nil, nil, nil, (wrk.body:gsub("0.25,", string.format("0.2%07d,", number))))
+end
+"""
 
 
 def median(runs: list[WrkFigures], field: str) -> float:
@@ -102,7 +111,7 @@ def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds
     for _ in range(rounds):
         for name, target in servers.items():
             runs[name].append(run_wrk(target, script, "/v1/predict", CONNECTIONS, seconds))
-    empty = runs["(a) empty FastAPI endpoint, same schemas"]
+    empty = runs[EMPTY]
     print(f"\n## Single pushes, {CONNECTIONS} connections\n")
     print("| server | requests/s | times (a) | processor us per request | times less than (a) | p50 (ms) | p99 (ms) |")
     print("|---|---|---|---|---|---|---|")
@@ -131,6 +140,54 @@ def batches(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
     for name, figures in runs.items():
         ratio = statistics.median(run.requests_per_s * ROWS / one for run, one in zip(figures, alone, strict=True))
         print(f"| ours, {name} | {median(figures, 'requests_per_s') * ROWS:.0f} | {ratio:.2f} |")
+
+
+def outline() -> list[list[float]]:
+    """Return an outline of 64 corners in m: a rounded star of about 120 x 80 mm."""
+    angles = np.linspace(0.0, 2.0 * np.pi, CORNERS, endpoint=False)
+    radius = 1.0 + 0.15 * np.sin(5.0 * angles)
+    corners = np.stack([0.055 * radius * np.cos(angles), 0.037 * radius * np.sin(angles)], axis=1)
+    found: list[list[float]] = corners.round(5).tolist()
+    return found
+
+
+def shapes(ours: Server, empty: Server, folder: Path, rounds: int, seconds: int) -> None:
+    """Measure pushes of an outline of 64 corners beside those of a descriptor and the empty endpoint, in one run."""
+    kind = {"Content-Type": "application/json"}
+    context = {"friction": 0.25, "outline": outline()}  # the friction comes first, so that it can be varied
+    pusher = {"x": -0.1, "y": 0.0, "angle": 0.0, "length": 0.06}
+    rng = np.random.default_rng(0)
+    starts = rng.uniform((-0.1, -0.04, -0.4), (-0.09, 0.04, 0.4), (ROWS, 3)).round(5).tolist()
+    batch = json.dumps({"pushers": starts, "lengths": 0.06, "contexts": [context]})
+    one = json.dumps({"pusher": pusher, "context": context})
+    loads = {
+        "empty endpoint": (empty, Load("/v1/predict", PUSH, kind), CONNECTIONS),
+        "one push by descriptor": (ours, Load("/v1/predict", PUSH, kind), CONNECTIONS),
+        "one push of an outline that was seen": (ours, Load("/v1/predict", one.encode(), kind), CONNECTIONS),
+        "one push of an outline that is new": (ours, Load("/v1/predict", one.encode(), kind), CONNECTIONS),
+        "1,000 pushes by descriptor": (ours, batch_loads()["JSON"], 2),
+        "1,000 pushes of one outline": (ours, Load("/v1/predict/batch", batch.encode(), kind), 2),
+    }
+    scripts = {name: load.script(folder, f"shape{number}") for number, (name, (_, load, _)) in enumerate(loads.items())}
+    new = scripts["one push of an outline that is new"]
+    new.write_text(new.read_text() + _VARIED)
+    runs: dict[str, list[WrkFigures]] = {name: [] for name in loads}
+    for _ in range(rounds):
+        for name, (target, load, connections) in loads.items():
+            runs[name].append(run_wrk(target, scripts[name], load.path, connections, seconds))
+    print(f"\n## Outlines of {CORNERS} corners\n")
+    print("| | requests/s | p50 (ms) | times the empty endpoint |\n|---|---|---|---|")
+    for name, figures in runs.items():
+        rate, p50 = median(figures, "requests_per_s"), median(figures, "p50_us") / 1e3
+        print(f"| {name} | {rate:.0f} | {p50:.2f} | {_ratio(figures, runs['empty endpoint']):.2f} |")
+    slower = 1.0 / _ratio(runs["1,000 pushes of one outline"], runs["1,000 pushes by descriptor"])
+    print(f"\n1,000 pushes of one outline take {slower:.1f} times the time of 1,000 by descriptor")
+
+
+def _ratio(figures: list[WrkFigures], others: list[WrkFigures]) -> float:
+    """Return the median over the rounds of the throughput, in times of another one."""
+    pairs = zip(figures, others, strict=True)
+    return statistics.median(one.requests_per_s / other.requests_per_s for one, other in pairs)
 
 
 def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
@@ -184,7 +241,7 @@ def main() -> None:
         raise SystemExit("wrk is not installed: apt-get install wrk")
     commands = {
         "ours": [sys.executable, *OURS],
-        "(a) empty FastAPI endpoint, same schemas": [sys.executable, str(peers / "empty_fastapi.py")],
+        EMPTY: [sys.executable, str(peers / "empty_fastapi.py")],
         "(b) thirty lines of FastAPI and onnxruntime": [sys.executable, str(peers / "thirty_lines.py")],
         "(c) bare ASGI function, constant bytes": [sys.executable, str(peers / "bare_asgi.py")],
     }
@@ -196,7 +253,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, ExitStack() as stack:
         folder, servers = Path(temporary), {}
         for name, command in commands.items():
-            if name != "ours" and "singles" not in parts:
+            if name != "ours" and "singles" not in parts and not (name == EMPTY and "shapes" in parts):
                 continue
             port = free_port()
             own = command if name == "ours" else [*command, str(port)]
@@ -206,6 +263,8 @@ def main() -> None:
             single_pushes(servers, folder, options.rounds, options.seconds)
         if "batches" in parts:
             batches(servers["ours"], folder, options.rounds, options.seconds)
+        if "shapes" in parts:
+            shapes(servers["ours"], servers[EMPTY], folder, options.rounds, options.seconds)
         if "images" in parts:
             during_images(servers["ours"], folder, options.rounds, options.seconds)
     if "start" in parts:

@@ -17,6 +17,7 @@ PUSHES: Final = 10_000
 MAX_PIXELS: Final = (4096, 3072)  # 12,582,912 pixels
 _BITS: Final = [1, 0, 0, 0, 1, 0, 0, 0, 0] * 4
 _ROW: Final = [-0.07512345, 0.01234567, 0.12345678901234567]
+_START: Final = [-0.1, 0.0, 0.0]
 _VISUAL: Final = base64.b64encode(bytes(range(256)) * 4).decode()
 _JSON: Final = {"Content-Type": "application/json"}
 _LENGTH: Final = "Inference-Header-Content-Length"
@@ -58,9 +59,22 @@ def _batches(size: int) -> Iterator[tuple[str, dict[str, Any]]]:
     yield "10,000 descriptors", {"pushers": [_ROW] * PUSHES, "contexts": [{"descriptor": "1a2b3c4a"}] * PUSHES}
     count = min(PUSHES, (size - 1000) // (len(_VISUAL) + 75))
     yield f"{count:,} visual contexts", {"pushers": [[0, 0, 0]] * count, "contexts": [{"visual": _VISUAL}] * count}
+    for corners, most in ((512, 50), (8, 1000)):  # more with 512 corners may take longer than the deadline
+        count = min(most, (size - 1000) // (corners * 22 + 100))
+        push = {"pushers": [_START] * count, "lengths": [0.05] * count, "contexts": _outlines(count, corners)}
+        yield f"{count} outlines of {corners} corners", push
+    many = {"pushers": [_START] * PUSHES, "lengths": [0.05] * PUSHES, "contexts": _outlines(1, 512)}
+    yield "10,000 pushes of one outline of 512 corners", many
     levels = [[0.12345678] * 32] * 32
     count = min(470, (size - 1000) // 12_000)
     yield f"{count} visual contexts as numbers", {"pushers": [_ROW] * count, "contexts": [{"visual": levels}] * count}
+
+
+def _outlines(count: int, corners: int) -> list[dict[str, Any]]:
+    """Return different objects of this many corners."""
+    angles = np.linspace(0.0, 2.0 * np.pi, corners, endpoint=False)
+    star = np.stack([np.cos(angles), np.sin(angles)], axis=1) * (1.0 + 0.1 * np.sin(5.0 * angles))[:, None]
+    return [{"outline": (star * (0.04 + 1e-5 * number)).round(8).tolist()} for number in range(count)]
 
 
 def _inferences(size: int) -> Iterator[tuple[str, str, dict[str, str], bytes]]:

@@ -89,7 +89,7 @@ def models(tmp_path_factory: pytest.TempPathFactory) -> LoadedModels:
 @pytest.fixture
 def answers(models: LoadedModels, monkeypatch: pytest.MonkeyPatch) -> Answers:
     """Return the service over the shipped models, to be asked directly."""
-    return Answers(create_app(Settings(poll_interval_s=3600), models), monkeypatch)
+    return Answers(create_app(Settings(poll_interval_s=3600, deadline_s=60), models), monkeypatch)
 
 
 def check(request: WorstRequest, status: int, answer: bytes, faults: int) -> None:

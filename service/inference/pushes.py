@@ -75,8 +75,7 @@ def push_rows(
         rows = np.empty((len(poses), 4), dtype=np.float32)
         rows[:, :3], rows[:, 3] = poses, lengths_m
         return rows
-    other = np.abs(lengths_m - PUSH_LENGTH_M) > _SAME_M
-    if other.any():
+    if lengths_m.tolist() != [PUSH_LENGTH_M] and (other := np.abs(lengths_m - PUSH_LENGTH_M) > _SAME_M).any():
         row = int(other.argmax())
         accepted = f"{PUSH_LENGTH_M:g} m, the only length that {model.manifest.name} knows; send the object's outline "
         accepted += "as context, for models of shapes know others"

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final
 
 from service.errors import ModelNotReadyError, UnknownModelError
@@ -61,7 +62,7 @@ class Snapshot:
         Raises:
             UnknownModelError, ModelNotReadyError: see ``find``.
         """
-        return self.find(ModelReference(self.defaults[kind], DEFAULT_ALIAS, None))
+        return self.find(_champion(self.defaults[kind]))
 
     def names(self) -> list[str]:
         """Return the names of the served models, sorted."""
@@ -82,3 +83,9 @@ class Snapshot:
     def aliases_of(self, name: str) -> dict[str, int]:
         """Return the aliases of a model with the versions that they name."""
         return {alias: version for (model, alias), version in self.aliases.items() if model == name}
+
+
+@lru_cache(maxsize=64)
+def _champion(name: str) -> ModelReference:
+    """Return the reference to the champion of a model."""
+    return ModelReference(name, DEFAULT_ALIAS, None)

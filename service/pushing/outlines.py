@@ -59,10 +59,12 @@ class Outline:
                 field, the corner or the edges, and the cure.
         """
         found = _checked_corners(corners, where)
-        _check_extent(found, where)
-        _check_repeats(found, where)
+        distance = _squares(found[:, None, :] - found[None, :, :])
+        extent_m = float(np.sqrt(distance.max()))
+        _check_extent(extent_m, where)
+        _check_repeats(distance, extent_m, where)
         _check_area(found, where)
-        _check_crossings(found, where)
+        _check_crossings(found, extent_m, where)
         if _area_m2(found) < 0.0:
             found = found[::-1].copy()
         found.setflags(write=False)
@@ -192,20 +194,18 @@ def _checked_corners(corners: npt.ArrayLike, where: str) -> DoubleArray:
     return found
 
 
-def _check_extent(corners: DoubleArray, where: str) -> None:
-    extent_m = _extent_m(corners)
+def _check_extent(extent_m: float, where: str) -> None:
     if not SMALLEST_EXTENT_M <= extent_m <= LARGEST_EXTENT_M:
         unit = "; are these millimetres?" if extent_m > LARGEST_EXTENT_M else ""
         raise InvalidRequestError.at(where, f"an object of {extent_m:.4g} m across{unit}", "0.005 to 2 m, in metres")
 
 
-def _check_repeats(corners: DoubleArray, where: str) -> None:
-    """Refuse equal corners, wherever they stand."""
-    distance = _squares(corners[:, None, :] - corners[None, :, :])
-    distance[np.tril_indices(len(corners))] = np.inf
+def _check_repeats(distance: DoubleArray, extent_m: float, where: str) -> None:
+    """Refuse equal corners, wherever they stand, by the squared distances (n, n) of all corners."""
+    np.fill_diagonal(distance, np.inf)
     first, second = (int(index) for index in np.unravel_index(distance.argmin(), distance.shape))
-    if distance[first, second] <= (_TOUCH * _extent_m(corners)) ** 2:
-        closed = first == 0 and second == len(corners) - 1
+    if distance[first, second] <= (_TOUCH * extent_m) ** 2:
+        closed = first == 0 and second == len(distance) - 1
         accepted = "an outline without its first corner again at the end" if closed else "each corner once"
         raise InvalidRequestError.at(f"{where}.{second}", f"the same point as corner {first}", accepted)
 
@@ -218,12 +218,12 @@ def _check_area(corners: DoubleArray, where: str) -> None:
         raise InvalidRequestError.at(where, "corners on one line, without area", "a polygon around the object")
 
 
-def _check_crossings(corners: DoubleArray, where: str) -> None:
+def _check_crossings(corners: DoubleArray, extent_m: float, where: str) -> None:
     """Refuse edges that cross, overlap or touch other edges than their neighbours."""
     count = len(corners)
     start, end = corners, np.roll(corners, -1, axis=0)
     squares, _ = _to_edges(corners, corners, end - start)  # (corner, edge)
-    touch = squares <= (_TOUCH * _extent_m(corners)) ** 2
+    touch = squares <= (_TOUCH * extent_m) ** 2
     index = np.arange(count)
     touch[index, index] = touch[index, index - 1] = False  # the two edges that meet in the corner
     side_start, side_end = (_sides(start, end, point) for point in (start, end))  # (edge, edge)

@@ -33,10 +33,10 @@ Tensors = tuple[FloatArray, ...]
 
 def is_light(context: ContextBody) -> bool:
     """Return whether the event loop may encode a context: it is no image, and no shape that was not seen before."""
-    if context.image is not None:
-        return False
+    if context.image is not None or context.outline is None:
+        return context.image is None
     key = context.key
-    return context.outline is None or (isinstance(key, tuple) and key in _SHAPES)
+    return isinstance(key, tuple) and key in _SHAPES
 
 
 def encode_context(context: ContextBody | None) -> ContextBatch:

@@ -23,6 +23,7 @@ from service.schemas.pushes import BatchRequest, Prediction, PredictRequest
 from service.schemas.shapes import ShapeDetails
 
 _JSON: Final = orjson.OPT_SERIALIZE_NUMPY
+_ONE_PUSH: Final = PushFields("body.pusher", "body.pusher.length")
 _Array = FloatArray | DoubleArray
 Render = Callable[[_Array, _Array, DoubleArray | None], dict[str, object]]
 
@@ -137,7 +138,7 @@ def _find(models: Snapshot, request: Prediction, contexts: ContextBatch) -> Load
 
 def _single(model: LoadedModel, request: PredictRequest, contexts: ContextBatch) -> JsonQuery:
     poses = request.pusher_poses(reach_m(contexts.kind))
-    rows = push_rows(model, poses, request.lengths_m(), contexts, PushFields("body.pusher", "body.pusher.length"))
+    rows = push_rows(model, poses, request.lengths_m(), contexts, _ONE_PUSH)
     return JsonQuery(model, rows, contexts, request.object_frames(), _one)
 
 

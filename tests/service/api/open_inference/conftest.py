@@ -16,6 +16,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     """Return a client of the application over fake models of every kind."""
     registry, models = fake_models(tmp_path_factory.mktemp("models"))
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
+    publish_fake(registry, "push-shape", ContextKind.SHAPE)
     publish_fake(registry, alias="canary")
     models.refresh()
     app = create_app(Settings(poll_interval_s=3600, max_body_bytes=1 << 20), models)

@@ -10,6 +10,8 @@ from fastapi.testclient import TestClient
 from service.api.open_inference.queries import parse_reference
 from service.errors import InvalidRequestError
 from service.model.reference import ModelReference
+from service.pushing.shape_context import ShapeContext
+from tests.served_graphs import BOX, shape_tensors
 from tests.service.api.open_inference.tensors import (
     INDICATOR,
     LENGTH,
@@ -71,6 +73,52 @@ def test_a_request_against_the_rules_is_a_400_that_names_its_field(client: TestC
     text = error(client.post(URL, content=json.dumps(body)))
     assert words in text
     assert client.get("/v2/health/live").status_code == 200
+
+
+SHAPES = dict(zip(("silhouette", "outline", "body"), shape_tensors(ShapeContext(BOX)), strict=True))
+LONG_PUSHES = np.array([[-0.1, 0.0, 0.0, 0.05], [0.0, -0.1, 1.5, 0.02]], dtype=np.float32)
+
+
+def of_shapes(pushes: np.ndarray[Any, Any], **changes: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Return a request for pushes of a box, with other tensors in place of some of its own."""
+    tensors = {"pusher": pushes, **SHAPES, **changes}
+    return {"inputs": [tensor(name, array) for name, array in tensors.items()]}
+
+
+def test_shapes_are_answered_as_in_v1(client: TestClient) -> None:
+    """The tensors of an outline and lengths give the numbers that /v1 gives for the outline."""
+    found = numbers(client.post("/v2/models/push-shape/infer", json=of_shapes(LONG_PUSHES)))
+    body = {
+        "pushers": LONG_PUSHES[:, :3].tolist(),
+        "lengths": LONG_PUSHES[:, 3].tolist(),
+        "contexts": [{"outline": BOX.corners.tolist()}],
+    }
+    expected = client.post("/v1/predict/batch", json=body).json()["mean"]
+    assert (found["mean"] == np.array(expected, dtype=np.float32)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"pusher": LONG_PUSHES * np.array([1, 1, 1, 0], dtype=np.float32)}, "inputs pusher[0, 3]: received 0 m"),
+        ({"pusher": LONG_PUSHES * np.array([1, 1, 1, 30], dtype=np.float32)}, "inputs pusher[0, 3]: received 1.5 m"),
+        ({"pusher": LONG_PUSHES * np.array([200, 1, 1, 1], dtype=np.float32)}, "inputs pusher[0]"),
+        (
+            {"pusher": LONG_PUSHES * np.array([1, 0, 1, 1], dtype=np.float32)},
+            "inputs pusher[1]: received a pusher that starts inside",
+        ),
+        ({"pusher": LONG_PUSHES[:, :3]}, "inputs pusher.shape"),
+        ({"body": SHAPES["body"] * np.float32(0.0)}, "inputs body[0, 2]"),
+        ({"silhouette": SHAPES["silhouette"] + np.float32(3.0)}, "inputs silhouette"),
+        ({"outline": SHAPES["outline"] + np.float32(30.0)}, "inputs outline"),
+    ],
+)
+def test_a_shape_against_the_rules_is_a_400(
+    client: TestClient, changes: dict[str, np.ndarray[Any, Any]], words: str
+) -> None:
+    """A push or an object that /v1 refuses is refused with its tensor."""
+    pushes = changes.pop("pusher", LONG_PUSHES)
+    assert words in error(client.post("/v2/models/push-shape/infer", json=of_shapes(pushes, **changes)))
 
 
 @pytest.mark.parametrize(
