@@ -4,6 +4,8 @@ import base64
 
 from hypothesis import strategies as st
 
+from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
+
 VISUAL = base64.b64encode(bytes(1024)).decode()
 PUSHER = {"x": -0.075, "y": 0.0, "angle": 0.0}
 
@@ -13,17 +15,30 @@ numbers = st.one_of(
     st.sampled_from([1e-7, 3e-5, 1e16, -0.0, 5e-324, 1e308, 10**30, True, None, "0.1"]),
 )
 poses = st.fixed_dictionaries({"x": numbers, "y": numbers, "angle": numbers})
+pushers = st.fixed_dictionaries({"x": numbers, "y": numbers, "angle": numbers}, optional={"length": numbers})
 contexts = st.one_of(
     st.none(),
     st.sampled_from(["1a2b3c4a", "4a4a4a4a", "9z", ""]).map(lambda text: {"descriptor": text}),
     st.lists(st.sampled_from([0, 1, 1.0, 2]), min_size=35, max_size=37).map(lambda bits: {"indicator": bits}),
+    st.sampled_from([{"outline": OUTLINE_EXAMPLE}, {"outline": L_EXAMPLE, "friction": 0.3}, {"outline": [[0, 0]]}]),
+    st.floats(0.01, 0.1).map(lambda side: {"outline": [[0.0, 0.0], [side, 0.0], [0.0, side]]}),
     st.sampled_from([{"visual": VISUAL}, {"visual": [[0.5] * 32] * 32}, {"visual": [[2]]}, {"visual": "?"}, {}]),
 )
 references = st.sampled_from(
-    [None, "push-none", "push-indicator@1", "push-visual@champion", "push-failing", "nobody", "../x"]
+    [
+        None,
+        None,
+        "push-none",
+        "push-shape",
+        "push-indicator@1",
+        "push-visual@champion",
+        "push-failing",
+        "nobody",
+        "../x",
+    ]
 )
 pushes = st.fixed_dictionaries(
-    {"pusher": poses}, optional={"context": contexts, "model": references, "object_pose": poses, "other": st.none()}
+    {"pusher": pushers}, optional={"context": contexts, "model": references, "object_pose": poses, "other": st.none()}
 )
 
 ODD = {

@@ -406,8 +406,12 @@ UNUSUAL = {
     "a client that expects 100": post("/v1/predict", BODY, (TYPE, "expect: 100-continue")),
     "chunks": CHUNKED % (TYPE.encode(), len(BODY), BODY),
     "no body": post("/v1/predict", b""),
-    "a large body": post("/v1/predict", BODY + b" " * 2048),  # hundreds may be answered in one iteration
+    "a large body": post("/v1/predict", BODY + b" " * 4096),  # hundreds may be answered in one iteration
     "an image": post("/v1/predict", b'{"pusher": {"x": 0, "y": 0, "angle": 0}, "context": {"image": "AAAA"}}'),
+    "an outline that is new": post(
+        "/v1/predict",
+        b'{"pusher": {"x": -1, "y": 0, "angle": 0}, "context": {"outline": [[0, 0], [0.0712, 0], [0, 0.0534]]}}',
+    ),
     "an escape, which may spell image": post("/v1/predict", BODY[:-1] + b', "context": {"\\u0069mage": "AAAA"}}'),
 }
 REFUSED = {
