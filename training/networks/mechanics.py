@@ -28,12 +28,9 @@ import torch
 from torch import Tensor, nn
 
 from service.pushing.shape_context import CORNERS
+from training.networks.contact import TINY, Edges, edges_of, first_contact
 
 STEPS: Final = 6
-FAR: Final = 1e4  # sizes: where edges lie that fill an outline up
-LARGEST: Final = 1e6
-TOUCH: Final = 1e-5  # sizes: rounding must not turn a touch into a miss
-_TINY: Final = 1e-6
 _LEAST: Final = 1e-12  # moment arms: a place on the outline has a normal, too
 _INSIDE: Final = 1.001  # of two edges that share a corner, the one that a place is outside of counts as nearer
 
@@ -70,16 +67,6 @@ class Mechanics(NamedTuple):
     """(n, 2) unit vector there, into the object."""
     motion: Tensor
     """(n, 3) motion of the centroid, and yaw in rad: (n, k, 3) for k assumptions."""
-
-
-class _Edges(NamedTuple):
-    """Edges of objects, in sizes from the centre of mass, in the caller's axes. One that fills up is far away."""
-
-    unit: Tensor  # (g, 64, 2) along each edge
-    outward: Tensor  # (g, 64, 2) its normal
-    along: Tensor  # (g, 64) to be added to the place along an edge, so that its middle is 0
-    height: Tensor  # (g, 64) to be added to the place along its normal, so that the edge is at 0
-    half: Tensor  # (g, 64) half of its length
 
 
 class _Lookup(NamedTuple):
@@ -128,11 +115,11 @@ class PushMechanics(nn.Module):
         See ``service.pushing.shape_context`` for the tensors. ``context_index`` (n,) names the object of each push.
         None: each has its own.
         """
-        edges = _edges(outline, body)
+        edges = edges_of(outline, body)
         arm = (body[:, 6:7] / body[:, 2:3]) * self.arms  # (g, k)
         lookup = _lookup(edges, arm)
         if context_index is not None:
-            edges = _Edges(*(part[context_index] for part in edges))
+            edges = Edges(*(part[context_index] for part in edges))
             lookup = _Lookup(*(part[context_index] for part in lookup))
             arm, body = arm[context_index], body[context_index]
         size = body[:, 2:3]
@@ -140,7 +127,7 @@ class PushMechanics(nn.Module):
         start = (pusher[:, 0:2] - body[:, 3:5]) / size
         length, radius = pusher[:, 3:4] / size, body[:, 9:10] / size
         ahead = torch.cat([torch.cos(pusher[:, 2:3]), torch.sin(pusher[:, 2:3])], dim=1)  # (n, 2) along the push
-        travel = _first_contact(edges, start, ahead, radius)  # (n, 1)
+        travel = first_contact(edges, start, ahead, radius)  # (n, 1)
         hit = (travel <= length).to(torch.float32)
         travel = travel * hit
         left = (length - travel) * hit
@@ -247,7 +234,7 @@ class _Half(nn.Module):
         place, t, into, y = torch.split(held @ self.advance, 1, dim=2)
         b, x = place + found.distance, into - gap
         lever = b * x + t * y
-        slope = (y + t * lever) / torch.clamp(x + b * lever, min=_TINY)
+        slope = (y + t * lever) / torch.clamp(x + b * lever, min=TINY)
         slope = torch.maximum(torch.minimum(slope, limits[0]), limits[1])
         moment = b * slope - t
         force = torch.relu(x / (1.0 - t * moment))  # a tip does not pull
@@ -273,20 +260,7 @@ def _parts(vectors: int, sign: float) -> Tensor:
     return torch.kron(torch.diag(torch.tensor([1.0, sign])), torch.ones(1, 2 * vectors))
 
 
-def _edges(outline: Tensor, body: Tensor) -> _Edges:
-    """Return the edges of outlines (g, 64, 2) in m."""
-    corners = (outline - body[:, None, 3:5]) / body[:, None, 2:3]
-    vector = torch.cat([corners[:, 1:], corners[:, :1]], dim=1) - corners
-    length = torch.linalg.vector_norm(vector, dim=2, keepdim=True)
-    unit = vector / torch.clamp(length, min=_TINY)
-    outward = torch.cat([unit[..., 1:], -unit[..., :1]], dim=2)
-    half = 0.5 * length[..., 0]
-    along, height = -(corners * unit).sum(dim=2) - half, -(corners * outward).sum(dim=2)
-    half = torch.where(half < _TINY, torch.full_like(half, -FAR), half)
-    return _Edges(unit, outward, along, height, half)
-
-
-def _lookup(edges: _Edges, arm: Tensor) -> _Lookup:
+def _lookup(edges: Edges, arm: Tensor) -> _Lookup:
     """Return the tables of objects for k assumptions, (g, k, ...)."""
     unit, outward = edges.unit, edges.outward
     slopes = torch.cat([unit, -unit, outward, -_INSIDE * outward], dim=1).transpose(1, 2)  # (g, 2, 256)
@@ -296,25 +270,3 @@ def _lookup(edges: _Edges, arm: Tensor) -> _Lookup:
     ways = torch.cat([-unit, unit, -outward, -outward], dim=2)
     many = torch.ones_like(arm)[..., None, None]  # (g, k, 1, 1)
     return _Lookup(slopes[:, None] * many, (offsets[:, None] / arm[..., None])[:, :, None], ways[:, None] * many)
-
-
-def _first_contact(edges: _Edges, start: Tensor, ahead: Tensor, radius: Tensor) -> Tensor:
-    """Return the travel (n, 1) from starts (n, 2) along unit vectors to the first contact, ``LARGEST`` for a miss."""
-    both = torch.stack([start, ahead], dim=2)  # (n, 2, 2)
-    along, drift = torch.unbind(edges.unit @ both, dim=2)  # (n, 64)
-    height, climb = torch.unbind(edges.outward @ both, dim=2)
-    along, height = along + edges.along, height + edges.height
-    far = torch.full_like(height, LARGEST)
-    faces = climb < -_TINY  # edges that the tip nears
-    to_edge = (height - radius) / torch.where(faces, -climb, torch.ones_like(climb))
-    met = torch.abs(along + to_edge * drift) <= edges.half
-    to_edge = torch.where(faces & (to_edge >= 0.0) & met, to_edge, far)
-    beside = along + edges.half  # the corner at the start of an edge, seen from it
-    across = drift * height - climb * beside
-    room = radius * radius - across * across
-    to_corner = -(drift * beside + climb * height) - torch.sqrt(torch.relu(room))
-    to_corner = torch.where((room >= 0.0) & (to_corner >= 0.0), to_corner, far)
-    travel = torch.minimum(to_edge, to_corner).amin(dim=1, keepdim=True)
-    excess = torch.relu(torch.abs(along) - edges.half)
-    clearance = torch.sqrt((excess * excess + height * height).amin(dim=1, keepdim=True))
-    return torch.where(clearance <= radius + TOUCH, torch.zeros_like(travel), travel)

@@ -1,0 +1,48 @@
+"""The first contact in tensors is that of the service, also at its edges: corners, ends and filled-up outlines."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from service.pushing.first_contact import first_contact as expected_contact
+from service.pushing.outlines import Outline
+from service.pushing.shape_context import CORNERS, ShapeContext
+from training.networks.contact import FAR, LARGEST, edges_of, first_contact
+
+SQUARE = Outline.of([(0.03, 0.03), (-0.03, 0.03), (-0.03, -0.03), (0.03, -0.03)])
+RADIUS_M = 0.005
+
+
+def travel(x_m: float, y_m: float, angle_rad: float) -> float:
+    """Return the travel of a tip to the square, in m, or inf."""
+    outline, body = (torch.from_numpy(part[None]) for part in ShapeContext(SQUARE).tensors()[1:])
+    start, ahead = torch.tensor([[x_m, y_m]]), torch.tensor([[math.cos(angle_rad), math.sin(angle_rad)]])
+    size = SQUARE.size_m
+    found = float(first_contact(edges_of(outline, body), start / size, ahead, torch.tensor([[RADIUS_M / size]])))
+    return math.inf if found == LARGEST else found * size
+
+
+@pytest.mark.parametrize(
+    ("place", "angle"),
+    [((-0.1, 0.0), 0.0), ((-0.1, 0.034), 0.0), ((-0.1, 0.0351), 0.0), ((-0.1, 0.1), -0.6), ((-0.1, 0.0), 3.0)],
+    ids=["a side", "a corner", "just beside", "askew", "away"],
+)
+def test_the_travel_is_that_of_the_service(place: tuple[float, float], angle: float) -> None:
+    """Sides, corners and misses have the travel of the closed form in float64."""
+    expected = expected_contact(SQUARE, np.array([[*place, angle, math.inf]]), RADIUS_M).travel_m[0]
+    assert travel(*place, angle) == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_tip_in_touch_does_not_travel() -> None:
+    """A tip that touches or overlaps at the start is in contact, whatever its direction."""
+    assert travel(-0.03 - RADIUS_M, 0.0, math.pi) == 0.0
+    assert travel(-0.032, 0.0, 0.0) == 0.0
+
+
+def test_edges_that_fill_an_outline_up_are_far_away() -> None:
+    """An outline of four corners has four edges, and the other sixty are never near."""
+    edges = edges_of(*(torch.from_numpy(part[None]) for part in ShapeContext(SQUARE).tensors()[1:]))
+    assert (edges.half[0] > 0.0).sum() == 4
+    assert (edges.half[0] == -FAR).sum() == CORNERS - 4
