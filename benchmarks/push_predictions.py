@@ -1,8 +1,8 @@
 """Predictions of a table of pushes: nothing moves, mechanics, the simulation, published models, and peers.
 
-Omnipush's models put the origin at the object's centre, so a table's frame is shifted to the centroid for them, and
-their answers are shifted back, spreads included. They know pushes of 50 mm by a tip of 4.75 mm. Other pushes are left
-out for them, and a note says so.
+Models of any shape are asked in the frame of the table. Omnipush's models put the origin at the object's centre, so a
+table's frame is shifted to the centroid for them, and their answers are shifted back, spreads included. They know
+pushes of 50 mm by a tip of 4.75 mm. Other pushes are left out for them, and a note says so.
 """
 
 import io
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from PIL import Image
 from tqdm import tqdm
 
+from benchmarks.shape_predictions import Knowledge, ask_shapes, starts_outside
 from service.client import Client
 from service.client.arguments import Context
 from service.errors import DataError
@@ -40,7 +41,11 @@ LEAST_STD: Final = (1e-4, 1e-4, math.radians(0.1))  # m, m, rad: of a push that 
 BATCH: Final = 10_000  # pushes that the service answers at once
 TILE_PIXELS: Final = 37  # side of the tiles of a view, of which only those on the boundary are drawn pixel by pixel
 KNOWN_WITHIN_M: Final = 0.001  # of length and tip: Omnipush's models are asked for no other push
-ASKED_AS: Final = {"none": "the push alone", "visual": "a view drawn from the outline"}
+ASKED_AS: Final = {
+    "none": "the push alone",
+    "visual": "a view drawn from the outline",
+    "shape": Knowledge.BODY.value,
+}
 
 
 @dataclass(frozen=True)
@@ -152,8 +157,25 @@ def predicted_by_models(
             if model.context_kind == "visual" and not views:
                 views = list(_views(table, client))
             for version in versions:
+                if model.context_kind == "shape":
+                    yield _answer_shapes(table, client, f"{model.name}@{version}")
+                    continue
                 contexts = views if model.context_kind == "visual" else []
                 yield _answer(table, client, f"{model.name}@{version}", model.context_kind, contexts)
+
+
+def _answer_shapes(table: PushTable, client: Client, name: str) -> Predicted:
+    """Ask a version of a model of any shape for every push that starts outside of its object."""
+    known = starts_outside(table)
+    mean, std = np.zeros((table.count, 3)), np.ones((table.count, 3))
+    mean[known], std[known] = ask_shapes(client, name, table, np.flatnonzero(known), Knowledge.BODY)
+    left = table.count - int(known.sum())
+    notes = (
+        (f"{name}: {left:,} of {table.count:,} pushes are left out: they start inside of their object.",)
+        if left
+        else ()
+    )
+    return Predicted(name, ASKED_AS["shape"], mean, np.einsum("ni,ij->nij", std**2, np.eye(3)), known, notes)
 
 
 def _answer(table: PushTable, client: Client, name: str, kind: str, contexts: Sequence[Context]) -> Predicted:

@@ -7,12 +7,14 @@ FOLDER holds pushes.csv and objects.csv, or both as Parquet (docs/data.md descri
     nothing moves    the object stays where it is
     mechanics        quasi-static mechanics of the outline, nothing fitted (service/pushing/mechanics.py)
     simulation       ours, of the same pushes: mean and scatter of several draws (training/simulation/replay.py)
-    NAME@VERSION     every published version of ours that can take the objects, through the client in this process
+    NAME@VERSION     every published version of ours that can take the objects, through the client in this process:
+                     models of any shape by outline, length and body, Omnipush's models by a view or none
     a peer           predictions that the table holds beside its outcomes: NAME_x_m, NAME_y_m, NAME_yaw_rad
 
 Printed are mean and median errors with the interval of the mean, RMSE and NLL in published deviations, coverage of
-intervals and joint regions, and how far pushes from the same start end apart. With --out, a page with all of it per
-object and surface is written, with a plot and the figures. The rows of the table are not copied.
+intervals and joint regions, the worst object and surface, and how far pushes from the same start end apart. With
+--out, a page with all of it per object and surface is written, with a plot and the figures. The rows of the table are
+not copied.
 """
 
 import argparse
@@ -26,7 +28,16 @@ import numpy.typing as npt
 
 from benchmarks.push_measures import repeats, score
 from benchmarks.push_predictions import Predicted, choose, doubts, predicted_by_models, predicted_without_model
-from benchmarks.real_pushes_page import OVERALL, Findings, ModelScores, overall_table, repeats_text, worth, write_page
+from benchmarks.real_pushes_page import (
+    OVERALL,
+    Findings,
+    ModelScores,
+    overall_table,
+    repeats_text,
+    worst_text,
+    worth,
+    write_page,
+)
 from service.client import ClientError
 from service.errors import CazslError, DataError
 from training.tables.push_table import PushTable
@@ -156,7 +167,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except (CazslError, ClientError) as error:
         sys.exit(f"error: {error}")
     print(overall_table(findings.models))
-    for text in (*findings.notes, repeats_text(findings.repeats), worth(findings.models).replace("**", "")):
+    for text in (
+        *findings.notes,
+        repeats_text(findings.repeats),
+        worst_text(findings.models),
+        worth(findings.models).replace("**", ""),
+    ):
         if text:
             print(f"\n{text}")
     if options.out is None:

@@ -38,7 +38,7 @@ regions of the same probability of all three at once. An honest model has 50, 90
 
 {overall}
 
-{notes}{repeats}![Mean errors per object, and coverage]({plot})
+{notes}{repeats}{worst}![Mean errors per object, and coverage]({plot})
 
 ## Per object and surface
 
@@ -113,6 +113,23 @@ def repeats_text(found: tuple[Repeats | None, Repeats | None]) -> str:
     return " ".join(texts)
 
 
+def worst_text(models: Sequence[ModelScores]) -> str:
+    """Return a list of the worst object and surface of every model: by its error, and by its 90 % regions."""
+    lines = []
+    for model in models:
+        groups = {name: found for name, found in model.scores.items() if name != OVERALL}
+        if len(groups) < 2:
+            continue
+        name, found = max(groups.items(), key=lambda item: item[1].position_mm.mean)
+        text = f"- {model.name} is worst on {name}: {found.position_mm.mean:.2f} mm, {found.yaw_deg.mean:.2f} degrees."
+        shares = {name: found.calibration.regions[1] for name, found in groups.items() if found.calibration is not None}
+        if shares:
+            least = min(shares, key=lambda name: shares[name])
+            text += f" Its 90 % regions hold least on {least}: {100 * shares[least]:.0f} %."
+        lines.append(text)
+    return "\n".join(lines)
+
+
 def write_page(folder: Path, findings: Findings) -> None:
     """Write page, plot and figures into a folder that exists."""
     _draw(folder / PLOT_FILE, findings.models)
@@ -135,6 +152,7 @@ def _page(findings: Findings) -> str:
         overall=overall_table(findings.models),
         notes=f"{notes}\n" if notes else "",
         repeats=_paragraph(repeats_text(findings.repeats)),
+        worst=f"{worst_text(findings.models)}\n\n",
         plot=PLOT_FILE,
         groups="\n\n".join(_group_table(model) for model in findings.models),
     )

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,8 @@ from benchmarks.real_pushes import main
 from service.pushing.contexts import ObjectContext
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
+from service.registry.registry import Registry
+from tests.served_graphs import publish_shapes
 from training.fitting.evaluation import measure
 from training.omnipush.published import published_normalisation
 from training.simulation.drawing import top_down_view
@@ -113,6 +116,24 @@ def test_pushes_that_a_model_does_not_know_are_left_out_and_counted(
     assert "push-none@1: 10 pushes are left out" in text
     assert "| push-visual@1 | a view drawn from the outline | 30 |" in text
     assert "mechanics" not in text
+
+
+def test_a_model_of_any_shape_is_asked_for_pushes_of_any_length(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Outlines, lengths and tips are sent as they are, and only a push that starts inside is left out."""
+    publish_shapes(Registry(tmp_path / "models"))
+    found = table(40, (BOX, 1.2 * BOX))
+    found.pushers[:20, 3] = np.linspace(0.03, 0.09, 20)
+    found.pusher_radius_m[::3] = 0.008
+    found.pushers[7, :2] = 0.0
+    write_table(tmp_path / "table", found)
+    options = ["--models-folder", str(tmp_path / "models"), "--models", "push-shape", "--out", str(tmp_path / "page")]
+    text = run(tmp_path / "table", *options, capsys=capsys)
+    assert "| push-shape@1 | outline; centre of mass, friction and tip where the table has them | 39 |" in text
+    assert "push-shape@1: 1 of 40 pushes are left out: they start inside of their object." in text
+    page = (tmp_path / "page" / "README.md").read_text()
+    assert re.search(r"push-shape@1 is worst on object \d, \w+: .* hold least on object \d, \w+: \d+ %\.", page)
 
 
 def test_a_quick_look_takes_some_objects_and_pushes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
