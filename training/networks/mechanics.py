@@ -28,11 +28,10 @@ import torch
 from torch import Tensor, nn
 
 from service.pushing.shape_context import CORNERS
-from training.networks.contact import TINY, Edges, edges_of, first_contact
+from training.networks.contact import TINY, Edges, OutlineEdges, first_contact
 
 STEPS: Final = 6
 _LEAST: Final = 1e-12  # moment arms: a place on the outline has a normal, too
-_INSIDE: Final = 1.001  # of two edges that share a corner, the one that a place is outside of counts as nearer
 
 
 Matrix = list[list[float]]
@@ -69,12 +68,12 @@ class Mechanics(NamedTuple):
     """(n, 3) motion of the centroid, and yaw in rad: (n, k, 3) for k assumptions."""
 
 
-class _Lookup(NamedTuple):
-    """Tables of objects, by which the nearest place is found. Lengths are in moment arms."""
+class _Lookup:
+    """Tables by which the nearest place is found. Lengths are in moment arms."""
 
-    slopes: Tensor  # (g, 2, 256) of the four numbers of each edge, by the place
-    offsets: Tensor  # (g, 1, 256)
-    ways: Tensor  # (g, 64, 8) unit vectors from a place to the edge for each of the four numbers
+    def __init__(self, numbers: Tensor, ways: Tensor, arm: Tensor) -> None:
+        """Take the tables of ``Edges``, and moment arms (n, 1, 1) in sizes."""
+        self.slopes, self.offsets, self.ways = numbers[:, :2], numbers[:, 2:] / arm, ways
 
 
 class _Nearest(NamedTuple):
@@ -106,6 +105,8 @@ class PushMechanics(nn.Module):
         )
         self.row_of_numbers = nn.Buffer(torch.zeros(4, 1, dtype=torch.int64), persistent=False)
         self.row_of_ways = nn.Buffer(torch.zeros(8, dtype=torch.int64), persistent=False)
+        self.quarter = nn.Buffer(torch.tensor([[0.0, 1.0], [-1.0, 0.0]]), persistent=False)  # turns to the left
+        self.edges = OutlineEdges()
         self.place = _Half(2, 3, _ADVANCE, _HALF_STEP, _FROM_MIDDLE)
         self.middle = _Half(3, 2, _WHOLE, _STEP, _FROM_START)
 
@@ -115,58 +116,62 @@ class PushMechanics(nn.Module):
         See ``service.pushing.shape_context`` for the tensors. ``context_index`` (n,) names the object of each push.
         None: each has its own.
         """
-        edges = edges_of(outline, body)
-        arm = (body[:, 6:7] / body[:, 2:3]) * self.arms  # (g, k)
-        lookup = _lookup(edges, arm)
+        body = body[:, None]  # as vectors: all tensors below have three dimensions
+        pusher = pusher[:, None]
+        edges = self.edges(outline, body[..., 3:5], body[..., 2:3])
+        arm = body[..., 6:7] / body[..., 2:3] * self.arms  # (g, 1, k)
         if context_index is not None:
-            edges = Edges(*(part[context_index] for part in edges))
-            lookup = _Lookup(*(part[context_index] for part in lookup))
-            arm, body = arm[context_index], body[context_index]
-        size = body[:, 2:3]
-        centre = (body[:, 3:5] - body[:, 0:2]) / size  # of mass, from the centroid
-        start = (pusher[:, 0:2] - body[:, 3:5]) / size
-        length, radius = pusher[:, 3:4] / size, body[:, 9:10] / size
-        ahead = torch.cat([torch.cos(pusher[:, 2:3]), torch.sin(pusher[:, 2:3])], dim=1)  # (n, 2) along the push
-        travel = first_contact(edges, start, ahead, radius)  # (n, 1)
+            edges = Edges(*(torch.index_select(part, 0, context_index) for part in edges))
+            arm, body = (torch.index_select(part, 0, context_index) for part in (arm, body))
+        size, centre_m = body[..., 2:3], body[..., 3:5]
+        ahead = torch.cat([torch.cos(pusher[..., 2:3]), torch.sin(pusher[..., 2:3])], dim=2)  # along the push
+        start = (pusher[..., 0:2] - centre_m) / size
+        length, radius = pusher[..., 3:4] / size, body[..., 9:10] / size
+        travel = first_contact(edges, start, ahead, radius)
         hit = (travel <= length).to(torch.float32)
         travel = travel * hit
-        left = (length - travel) * hit
+        left = length * hit - travel
+        advance = left * ahead
         tip = start + travel * ahead
-        tables = _Lookup(*(part.flatten(0, 1) for part in lookup))
-        first, place, yaw = self._pushed(tables, tip, left * ahead, radius, arm, body[:, 7:8])
-        sideways = torch.cat([-ahead[:, 1:], ahead[:, :1]], dim=1)
-        frame = torch.stack([ahead, sideways], dim=2)  # (n, 2, 2) into the push frame
-        normal = first.normal.reshape(-1, self.count, 2)[:, :1]
-        distance = first.distance.reshape(-1, self.count, 1)[:, :1] * arm[:, :1, None]
-        point = (tip + centre)[:, None] + distance * normal
-        yaw = yaw.reshape(-1, self.count, 1)
-        cos, sin = torch.cos(yaw), torch.sin(yaw)
-        x, y = torch.split(place.reshape(-1, self.count, 2) * arm[..., None] + centre[:, None], 1, dim=2)
-        turned = torch.cat([x * cos - y * sin, y * cos + x * sin], dim=2)
-        moved = (tip + centre + left * ahead)[:, None] - turned
-        hits = hit[:, None]
-        motion = torch.cat([moved @ frame, yaw], dim=2) * hits
+        scale = arm.reshape(-1, 1, 1)  # (n k, 1, 1): a row for each assumption on each push
+        tables = _Lookup(self._repeated(edges.numbers), self._repeated(edges.ways), scale)
+        rows = self._repeated(torch.cat([tip, advance / (2.0 * self.steps)], dim=2))
+        limit = (body[..., 7:8] * self.frictions).reshape(-1, 1, 1)
+        first, place, yaw = self._pushed(tables, rows / scale, self._repeated(radius) / scale, limit)
+        frame = torch.cat([ahead, ahead @ self.quarter], dim=1).transpose(1, 2)  # (n, 2, 2) into the push frame
+        centre = (centre_m - body[..., 0:2]) / size  # of mass, from the centroid
+        normal, distance, place, yaw = (
+            part.reshape(-1, self.count, part.shape[2])
+            for part in (first.normal, first.distance * scale, place * scale, yaw)
+        )
+        normal, tip = normal[:, :1], tip + centre
+        point = tip + distance[:, :1] * normal
+        place = place + centre
+        turned = place * torch.cos(yaw) + (place @ self.quarter) * torch.sin(yaw)
+        motion = torch.cat([(tip + advance - turned) @ frame, yaw], dim=2) * hit
         return Mechanics(
-            hit[:, 0],
-            left[:, 0],
-            (point @ frame * hits)[:, 0],
-            (normal @ frame * hits)[:, 0],
+            hit[:, 0, 0],
+            left[:, 0, 0],
+            (point @ frame * hit)[:, 0],
+            (normal @ frame * hit)[:, 0],
             motion[:, 0] if self.single else motion,
         )
 
-    def _pushed(
-        self, tables: _Lookup, tip: Tensor, advance: Tensor, radius: Tensor, arm: Tensor, friction: Tensor
-    ) -> tuple[_Nearest, Tensor, Tensor]:
-        """Push objects with tips (n, 2) that advance by (n, 2), for k assumptions in n k rows.
+    def _repeated(self, part: Tensor) -> Tensor:
+        """Return each row of a tensor (n, ...) k times, (n k, ...)."""
+        return part if self.count == 1 else part.repeat_interleave(self.count, dim=0)
 
-        Return the first contacts, where the tips are in the end (n k, 1, 2), seen from the objects, and the yaw.
+    def _pushed(
+        self, tables: "_Lookup", rows: Tensor, radius: Tensor, limit: Tensor
+    ) -> tuple[_Nearest, Tensor, Tensor]:
+        """Push objects with tips at (n, 1, 2), followed by half of the advance of a step, all in moment arms.
+
+        Return the first contacts, where the tips are in the end (n, 1, 2), seen from the objects, and the yaw.
         """
-        rows = torch.cat([tip, advance / (2.0 * self.steps)], dim=1)  # (n, 4) place and half of a step
-        state = (rows[:, None] / arm[..., None]).flatten(0, 1)[:, None] @ self.place.spread  # (n k, 1, 8)
-        most = (friction * self.frictions).reshape(-1, 1, 1)
-        limits = most, -most
+        state = rows @ self.place.spread  # (n, 1, 8)
+        limits = limit, -limit
         first = self._nearest(tables, state)
-        radius = torch.minimum((radius / arm).reshape(-1, 1, 1), first.distance)  # one that overlaps is in touch
+        radius = torch.minimum(radius, first.distance)  # one that overlaps is in touch
         yaw = torch.zeros_like(radius)
         for step in range(self.steps):
             found = first if step == 0 else self._nearest(tables, state)
@@ -258,15 +263,3 @@ def _summed(vectors: int) -> Tensor:
 def _parts(vectors: int, sign: float) -> Tensor:
     """Return the matrix (2, 4 m) from a number to its real part beside each v, and its imaginary one beside -i v."""
     return torch.kron(torch.diag(torch.tensor([1.0, sign])), torch.ones(1, 2 * vectors))
-
-
-def _lookup(edges: Edges, arm: Tensor) -> _Lookup:
-    """Return the tables of objects for k assumptions, (g, k, ...)."""
-    unit, outward = edges.unit, edges.outward
-    slopes = torch.cat([unit, -unit, outward, -_INSIDE * outward], dim=1).transpose(1, 2)  # (g, 2, 256)
-    offsets = torch.cat(
-        [edges.along - edges.half, -edges.along - edges.half, edges.height, -_INSIDE * edges.height], dim=1
-    )
-    ways = torch.cat([-unit, unit, -outward, -outward], dim=2)
-    many = torch.ones_like(arm)[..., None, None]  # (g, k, 1, 1)
-    return _Lookup(slopes[:, None] * many, (offsets[:, None] / arm[..., None])[:, :, None], ways[:, None] * many)

@@ -6,6 +6,7 @@ and gathered per push.
 
 import logging
 import warnings
+from collections.abc import Sequence
 from typing import Final
 
 import onnx
@@ -14,6 +15,7 @@ from torch import Tensor, nn
 
 from service.errors import PublishError
 from service.model.tensors import ContextKind
+from service.model.tensors import Tensor as TensorRecord
 from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from training.networks.angles import wrapped
 from training.networks.push_network import PushNetwork
@@ -21,6 +23,7 @@ from training.omnipush.published import published_normalisation
 from training.publishing.parity_inputs import graph_inputs, plausible_batch
 
 OPSET: Final = 18
+_OWN: Final = "_of_the_graph"  # no operator has such a name
 
 
 class ServedNetwork(nn.Module):
@@ -66,21 +69,29 @@ def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
     Raises:
         PublishError: torch gave no ONNX program.
     """
-    served = ServedNetwork(network).eval()
+    return export_module(ServedNetwork(network), kind, OUTPUTS)
+
+
+def export_module(served: nn.Module, kind: ContextKind, outputs: Sequence[TensorRecord]) -> bytes:
+    """Export a module that takes the inputs of a kind of context, by their names, and returns these outputs.
+
+    Raises:
+        PublishError: torch gave no ONNX program.
+    """
     example = plausible_batch(kind, pushes=3, objects=2)
     arguments = tuple(torch.from_numpy(array) for array in graph_inputs(example, kind))
-    names = [tensor.name for tensor in expected_inputs(kind)]
-    pushes, objects = torch.export.Dim("n"), torch.export.Dim("g")
-    free = {"pusher": {0: pushes}, "context": {0: objects}, "context_index": {0: pushes}}
+    inputs = expected_inputs(kind)
+    counts = {name: torch.export.Dim(name) for name in ("n", "g")}
+    free = {tensor.name: {0: counts[str(tensor.shape[0])]} for tensor in inputs}
     logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # its warnings are about operators that are not used
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # deprecations inside torch
         program = torch.onnx.export(
-            served,
+            served.eval(),
             arguments,
-            input_names=names,
-            output_names=[tensor.name for tensor in OUTPUTS],
-            dynamic_shapes={name: free[name] for name in names},
+            input_names=list(free),
+            output_names=[f"{tensor.name}{_OWN}" for tensor in outputs],
+            dynamic_shapes=free,
             opset_version=OPSET,
             dynamo=True,
             verbose=False,
@@ -89,8 +100,19 @@ def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
         raise PublishError("torch gave no ONNX program")
     model = program.model_proto
     strip_origin(model)
+    _name_outputs(model.graph, [tensor.name for tensor in outputs])
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
+
+
+def _name_outputs(graph: onnx.GraphProto, names: Sequence[str]) -> None:
+    """Give outputs their names. Torch names a value by its operator, so one inside may have the name of an output."""
+    renamed = {f"{name}{_OWN}": name for name in names} | {name: f"{name}_inside" for name in names}
+    for node in graph.node:
+        for values in (node.input, node.output):
+            values[:] = [renamed.get(value, value) for value in values]
+    for value in (*graph.output, *graph.value_info):
+        value.name = renamed.get(value.name, value.name)
 
 
 def strip_origin(model: onnx.ModelProto) -> None:

@@ -9,10 +9,13 @@ import pytest
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
+from service.model.predictor import OnnxPredictor
 from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
 from service.pushing.gates import physics_gates
+from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from tests.fakes import SMALL, draft_manifest
+from tests.served_graphs import shape_graph
 
 
 @dataclass
@@ -77,6 +80,45 @@ def test_a_visual_model_is_turned_by_turning_its_views() -> None:
     verdicts = list(physics_gates(model(kind=ContextKind.VISUAL)))
     assert "turned" in [verdict.gate for verdict in verdicts]
     assert refused(verdicts) == []
+
+
+def shapes(flaw: str = "") -> list[Verdict]:
+    """Return the verdicts on the small graph of shapes, with a flaw."""
+    graph = OnnxPredictor(shape_graph(), expected_inputs(ContextKind.SHAPE), OUTPUTS_WITH_UNFAMILIARITY)
+
+    class Flawed:
+        """The graph with a flaw."""
+
+        size = graph.size
+
+        def predict(
+            self, rows: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+        ) -> Gaussians:
+            """See ``service.model.predictor.Predictor``."""
+            found = graph.predict(rows, contexts, context_index)
+            moves = found.mean[:, :1] != 0.0
+            added = {
+                "no-contact": (~moves) * [1e-7, 0, 0],
+                "mirrored": moves * [0, 0, 0.1],
+                "scale": moves * [0.01, 0, 0],
+            }
+            return found._replace(mean=(found.mean + added.get(flaw, 0.0)).astype(np.float32))
+
+    return list(physics_gates(replace(model(kind=ContextKind.SHAPE), predictor=Flawed())))
+
+
+def test_a_shape_model_keeps_more_laws() -> None:
+    """A shape model that keeps the laws passes them all, and a push that misses leaves its object exactly at rest."""
+    verdicts = shapes()
+    assert [verdict.gate for verdict in verdicts] == ["no-contact", "turned", "mirrored", "scale", "angle-at-pi"]
+    assert refused(verdicts) == []
+    assert (verdicts[0].figure, verdicts[0].limit) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("flaw", ["no-contact", "mirrored", "scale"])
+def test_a_shape_model_is_refused_by_the_gate_of_a_law_that_it_breaks(flaw: str) -> None:
+    """Motion without contact by a ten-thousandth of a millimetre, a turn to one side, and a length of its own fail."""
+    assert flaw in refused(shapes(flaw))
 
 
 @pytest.mark.parametrize("flaw", ["no-contact", "turned", "angle-at-pi"])

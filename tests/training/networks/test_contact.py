@@ -9,7 +9,7 @@ import torch
 from service.pushing.first_contact import first_contact as expected_contact
 from service.pushing.outlines import Outline
 from service.pushing.shape_context import CORNERS, ShapeContext
-from training.networks.contact import FAR, LARGEST, edges_of, first_contact
+from training.networks.contact import FAR, LARGEST, Edges, OutlineEdges, first_contact
 
 SQUARE = Outline.of([(0.03, 0.03), (-0.03, 0.03), (-0.03, -0.03), (0.03, -0.03)])
 RADIUS_M = 0.005
@@ -17,11 +17,17 @@ RADIUS_M = 0.005
 
 def travel(x_m: float, y_m: float, angle_rad: float) -> float:
     """Return the travel of a tip to the square, in m, or inf."""
-    outline, body = (torch.from_numpy(part[None]) for part in ShapeContext(SQUARE).tensors()[1:])
-    start, ahead = torch.tensor([[x_m, y_m]]), torch.tensor([[math.cos(angle_rad), math.sin(angle_rad)]])
+    start, ahead = torch.tensor([[[x_m, y_m]]]), torch.tensor([[[math.cos(angle_rad), math.sin(angle_rad)]]])
     size = SQUARE.size_m
-    found = float(first_contact(edges_of(outline, body), start / size, ahead, torch.tensor([[RADIUS_M / size]])))
+    found = float(first_contact(edges_of_the_square(), start / size, ahead, torch.tensor([[[RADIUS_M / size]]])))
     return math.inf if found == LARGEST else found * size
+
+
+def edges_of_the_square() -> Edges:
+    """Return the edges of the square."""
+    outline = torch.from_numpy(ShapeContext(SQUARE).tensors().outline[None])
+    found: Edges = OutlineEdges()(outline, torch.zeros(1, 1, 2), torch.full((1, 1, 1), SQUARE.size_m))
+    return found
 
 
 @pytest.mark.parametrize(
@@ -43,6 +49,6 @@ def test_a_tip_in_touch_does_not_travel() -> None:
 
 def test_edges_that_fill_an_outline_up_are_far_away() -> None:
     """An outline of four corners has four edges, and the other sixty are never near."""
-    edges = edges_of(*(torch.from_numpy(part[None]) for part in ShapeContext(SQUARE).tensors()[1:]))
-    assert (edges.half[0] > 0.0).sum() == 4
-    assert (edges.half[0] == -FAR).sum() == CORNERS - 4
+    half = edges_of_the_square().half
+    assert (half > 0.0).sum() == 4
+    assert (half == -FAR).sum() == CORNERS - 4

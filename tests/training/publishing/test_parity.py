@@ -5,14 +5,18 @@ import onnx
 import pytest
 import torch
 from onnx import numpy_helper
+from torch import Tensor, nn
 
 from service.errors import CazslError, PublishError
+from service.model.onnx_graph import inspect_graph
 from service.model.tensors import ContextKind
+from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY
 from tests.training.publishing.published_graphs import KINDS
+from training.networks.mechanics import PushMechanics
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
-from training.publishing.onnx_export import export_onnx
-from training.publishing.parity import PARITY_TOLERANCE, check_parity
+from training.publishing.onnx_export import export_module, export_onnx
+from training.publishing.parity import PARITY_TOLERANCE, SHAPE_TOLERANCE, check_parity, check_shape_parity
 from training.publishing.parity_inputs import plausible_batch
 
 METHOD_CELLS = [(name, kind) for name, method in METHODS.items() for kind in ContextKind if method.takes(kind)]
@@ -76,3 +80,40 @@ def test_every_served_method_becomes_a_graph_that_agrees_with_it(name: str, kind
 
     assert check_parity(network, graph, kind) <= PARITY_TOLERANCE
     assert b"distance" not in graph, "the distance of the regulariser is not part of a served graph"
+
+
+class Served(nn.Module):
+    """Mechanics of one step, served as a shape model whose module is named like an output."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.mechanics = PushMechanics(steps=1)
+
+    def forward(
+        self, pusher: Tensor, silhouette: Tensor, outline: Tensor, body: Tensor, context_index: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return mean, std and unfamiliarity."""
+        found = self.mechanics(pusher, outline, body, context_index)
+        filled = silhouette.mean(dim=(1, 2, 3))[context_index]
+        std = 0.01 + 0.0 * found.motion + torch.exp(filled)[:, None]
+        return found.motion, std, torch.stack([found.left, filled], dim=1)
+
+
+@pytest.fixture(scope="module")
+def shapes() -> bytes:
+    """Return the graph of the mechanics."""
+    return export_module(Served(), ContextKind.SHAPE, OUTPUTS_WITH_UNFAMILIARITY)
+
+
+def test_a_shape_model_becomes_a_graph_that_agrees_with_it(shapes: bytes) -> None:
+    """Mechanics exports to operators that a registry accepts, and onnxruntime agrees with torch."""
+    assert inspect_graph(shapes).row_bytes > 0
+    assert 0.0 <= check_shape_parity(Served(), shapes) <= SHAPE_TOLERANCE
+
+
+def test_a_shape_graph_that_differs_from_torch_is_refused(shapes: bytes) -> None:
+    """The parity check refuses a graph with one altered constant."""
+    initializers = onnx.load_from_string(shapes).graph.initializer
+    name = next(tensor.name for tensor in initializers if "differences" in tensor.name)
+    with pytest.raises(PublishError, match="% of pushes"):
+        check_shape_parity(Served(), with_scaled_constant(shapes, name, 3.0))
