@@ -3,8 +3,8 @@
     python -m benchmarks.graph_mechanics FOLDER [--limit 1000] [--steps 4 6 8]
 
 FOLDER holds a table of pushes of any objects, recorded or simulated (docs/data.md). All know the outline alone. Printed
-for each are the mean and median error against the outcomes of the table, how far it is from 200 steps of
-``service.pushing.mechanics``, its operators, and the lowest time of one push and of 1,000 pushes of one object in
+for each are the mean and median error against the outcomes of the table, how far it is from the simulation of even
+pressure without scatter, its operators, and the lowest time of one push and of 1,000 pushes of one object in
 onnxruntime on one thread, through the predictor that serves.
 """
 
@@ -12,6 +12,7 @@ import argparse
 import sys
 import timeit
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -27,13 +28,14 @@ from service.model.tensors import ContextKind
 from service.pushing.mechanics import push
 from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from service.pushing.poses import DoubleArray
-from service.pushing.shape_context import ShapeContext
+from service.pushing.shape_context import FRICTION, ShapeContext
 from training.networks.mechanics import PushMechanics
 from training.publishing.onnx_export import export_module
+from training.simulation.bodies import RECORDED
+from training.simulation.replay import replay_even
 from training.tables.push_table import PushTable
 from training.tables.reading import read_table
 
-FINE: Final = 200
 MANY: Final = 1000
 REPEATS: Final = 20
 
@@ -46,10 +48,10 @@ class ServedMechanics(nn.Module):
         self.mechanics = PushMechanics(steps=steps)
 
     def forward(
-        self, pusher: Tensor, silhouette: Tensor, outline: Tensor, body: Tensor, context_index: Tensor
+        self, pusher: Tensor, silhouette: Tensor, outline: Tensor, support: Tensor, body: Tensor, context_index: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return mean, a std of 1, and zeros. The silhouette takes no part."""
-        found = self.mechanics(pusher, outline, body, context_index)
+        found = self.mechanics(pusher, outline, support, body, context_index)
         ignored = 0.0 * silhouette.mean(dim=(1, 2, 3))[context_index][:, None]
         return found.motion, 0.0 * found.motion + 1.0, torch.cat([ignored, ignored], dim=1)
 
@@ -75,7 +77,7 @@ def by_service(table: PushTable, steps: int) -> DoubleArray:
     for place, item in enumerate(table.objects):
         rows = table.object_index == place
         if rows.any():
-            found[rows] = push(item.outline, table.pushers[rows], table.pusher_radius_m[rows], steps=steps)
+            found[rows] = push(item.outline, table.pushers[rows], table.pusher_radius_m[rows], FRICTION, steps=steps)
     return found
 
 
@@ -138,11 +140,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
         table = choose(read_table(options.folder, None), [], options.limit)
     except CazslError as error:
         sys.exit(f"error: {error}")
-    fine = by_service(table, FINE)
-    print("| mechanics | mm, mean (median) | degrees | from 200 steps | operators | one push, us | 1,000, ms |")
+    unknown = tuple(replace(item, centre_of_mass_m=None, friction=None) for item in table.objects)
+    table = replace(table, objects=unknown)
+    fine = replay_even(table, replace(RECORDED, plates=(), contact=FRICTION))
+    print("| mechanics | mm, mean (median) | degrees | from the simulation | operators | one push, us | 1,000, ms |")
     print("|---|---|---|---|---|---|---|")
-    for steps in (FINE, 25):
-        print(line(f"service, {steps} steps", by_service(table, steps), table, fine, "- | - | -"), flush=True)
+    print(line("simulation, even", fine, table, fine, "- | - | -"), flush=True)
+    print(line("limit surface, 25 steps", by_service(table, 25), table, fine, "- | - | -"), flush=True)
     for steps in options.steps:
         motion, cost = by_graph(table, steps)
         print(line(f"graph, {steps} steps", poses(motion, table), table, fine, cost), flush=True)

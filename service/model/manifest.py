@@ -71,7 +71,7 @@ class SelfCheck:
     """Stored input and the output that belongs to it, within an absolute tolerance in SI units.
 
     A row of ``context`` is one object's tensors, flattened, one after the other in the order of the inputs: an
-    indicator (36), a visual context (1,024, row by row), or a shape's silhouette, outline and body.
+    indicator (36), a visual context (1,024, row by row), or a shape's tensors in their order.
     """
 
     pusher: Annotated[Rows, Field(max_length=MAX_SELF_CHECK_ROWS)]

@@ -5,6 +5,7 @@ from typing import Final
 from service.model.tensors import ContextKind, Tensor
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
 from service.pushing.shape_context import BODY_UNITS, CORNERS, SILHOUETTE_SIZE
+from service.pushing.support import MOST_POINTS
 
 _POSE_UNITS: Final = ("m", "m", "rad")
 _PUSHER: Final = Tensor("pusher", "float32", ("n", 3), _POSE_UNITS)
@@ -14,6 +15,7 @@ _PUSHER_WITH_LENGTH: Final = Tensor("pusher", "float32", ("n", 4), (*_POSE_UNITS
 _SHAPE: Final = (
     Tensor("silhouette", "float32", ("g", 1, SILHOUETTE_SIZE, SILHOUETTE_SIZE), ("1",)),
     Tensor("outline", "float32", ("g", CORNERS, 2), ("m", "m")),
+    Tensor("support", "float32", ("g", MOST_POINTS, 3), ("m", "m", "1")),
     Tensor("body", "float32", ("g", len(BODY_UNITS)), BODY_UNITS),
 )
 _CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))

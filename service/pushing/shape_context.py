@@ -11,11 +11,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from service.model.tensors import ContextKind, FloatArray
-from service.pushing.mechanics import FRICTION, moment_arm_m
+from service.pushing.mechanics import moment_arm_m
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
+from service.pushing.support import MOST_POINTS, even_support
 
 PUSHER_RADIUS_M: Final = 0.00475  # of a tip of unknown radius: that of Omnipush
+FRICTION: Final = 0.20  # of tip and object, if it is not known: least error on recorded pushes of steel shapes
 SHAPE_REACH_M: Final = 10.0  # of corners and pushers from the origin of the caller's frame
 CORNERS: Final = 64  # of the outline that a graph takes
 SILHOUETTE_SIZE: Final = 32
@@ -43,6 +45,8 @@ class ShapeTensors(NamedTuple):
     """(1, 32, 32) signed distances from the outline, in sizes, negative inside, clipped to -1..1. x right, y up."""
     outline: FloatArray
     """(64, 2) m, counter-clockwise, in the caller's frame. The last corner is repeated to fill it."""
+    support: FloatArray
+    """(37, 3) x_m, y_m of the points on which the object rests, and their shares of its weight. Free rows hold 0."""
     body: FloatArray
     """(11,) the values that ``BODY`` names."""
 
@@ -83,7 +87,10 @@ class ShapeContext:
             PUSHER_RADIUS_M if self.pusher_radius_m is None else self.pusher_radius_m,
             self.pusher_radius_m is not None,
         ]
-        return ShapeTensors(silhouette(outline), _fixed(outline.corners), np.array(body, dtype=np.float32))
+        support = np.zeros((MOST_POINTS, 3), dtype=np.float32)
+        points, shares = even_support(outline, centre)
+        support[: len(points)] = np.column_stack([points, shares])
+        return ShapeTensors(silhouette(outline), _fixed(outline.corners), support, np.array(body, dtype=np.float32))
 
 
 def silhouette(outline: Outline) -> FloatArray:

@@ -9,24 +9,20 @@ Loads always balance at the centre of mass.
 pushes, see ``benchmarks/scene.py`` and docs/results/scene.
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from service.pushing.outlines import Outline
+from service.pushing.support import balanced, even_points
 from training.simulation.exact import exp
 from training.simulation.surfaces import LEAST_FRICTION, Array
 
 PRESSURES: Final = ("even", "rim", "mixed", "few")
-EVEN_FEET: Final = 19  # at least so many in the grid under a body
 RIM_FEET: Final = 20
 FEWEST_FEET, MOST_FEET = 3, 6  # of a body on few feet
 _TRIES: Final = 40
-_FLAT: Final = 1e-12  # determinant of the second moments, in sizes to the fourth power
-_RIDGE: Final = 1e-9
-_BALANCED: Final = 1e-9  # of the size
 
 
 @dataclass(frozen=True)
@@ -108,7 +104,7 @@ def body(outline: Outline, pressure: str, rng: np.random.Generator, centre_of_ma
             return found
     share = {"even": 0.0, "rim": 1.0, "few": 1.0}.get(pressure)
     share = rng.uniform() if share is None else share
-    parts = [(even_feet(outline), 1.0 - share), (rim_feet(outline), share)]
+    parts = [(even_points(outline), 1.0 - share), (rim_feet(outline), share)]
     parts = [part for part in parts if part[1] > 0.0]
     feet = np.concatenate([part for part, _ in parts])
     spread = np.concatenate([np.full(len(part), weight / len(part)) for part, weight in parts])
@@ -139,16 +135,6 @@ def even_conditions(body: Body, count: int, contact: float = RECORDED.contact) -
     return Conditions(np.repeat(body.loads[:, None], count, axis=1), np.full(count, contact), np.zeros((count, 3)))
 
 
-def even_feet(outline: Outline) -> Array:
-    """Return the points of an even grid under an outline, (k, 2), at least ``EVEN_FEET`` of them."""
-    spacing_m = math.sqrt(outline.area_m2 / EVEN_FEET)
-    feet = outline.samples(spacing_m)
-    while len(feet) < EVEN_FEET:
-        spacing_m *= 0.9
-        feet = outline.samples(spacing_m)
-    return feet[:: len(feet) // EVEN_FEET] if len(feet) >= 2 * EVEN_FEET else feet
-
-
 def rim_feet(outline: Outline) -> Array:
     """Return ``RIM_FEET`` points along an outline, (k, 2), at even distances."""
     lengths = np.sqrt((outline.edges**2).sum(axis=1))
@@ -159,36 +145,9 @@ def rim_feet(outline: Outline) -> Array:
     return found
 
 
-def balanced(feet_m: Array, spread: Array, centre_m: Array, size_m: float) -> Array | None:
-    """Return loads (k,) close to a spread (k,) that balance at a centre, or None if the feet do not surround it.
-
-    Of all loads that balance, these have the least relative entropy to the spread: the spread times the exponential of
-    a linear function, found by Newton's method.
-    """
-    arm = (feet_m - centre_m) / size_m
-    tilt = np.zeros(2)
-    for _ in range(_TRIES):
-        loads = spread * exp(arm[:, 0] * tilt[0] + arm[:, 1] * tilt[1])
-        loads /= loads.sum()
-        x, y = (loads * arm[:, 0]).sum(), (loads * arm[:, 1]).sum()
-        if abs(x) + abs(y) < _BALANCED:
-            return np.asarray(loads)
-        xx = (loads * arm[:, 0] ** 2).sum() - x * x
-        yy = (loads * arm[:, 1] ** 2).sum() - y * y
-        xy = (loads * arm[:, 0] * arm[:, 1]).sum() - x * y
-        if not xx * yy - xy * xy > _FLAT:  # feet in one line
-            xx, yy = xx + _RIDGE, yy + _RIDGE
-        determinant = xx * yy - xy * xy
-        step = np.array([(yy * x - xy * y) / determinant, (xx * y - xy * x) / determinant])
-        tilt = tilt - step * min(1.0, 2.0 / max(abs(step[0]), abs(step[1]), 1e-300))
-        if max(abs(tilt[0]), abs(tilt[1])) > 50.0:
-            return None
-    return None
-
-
 def _on_few_feet(outline: Outline, centre_m: Array, rng: np.random.Generator) -> Body | None:
     """Return a body on a few random feet that surround the centre of mass well, or None if none were found."""
-    places = np.concatenate([even_feet(outline), rim_feet(outline)])
+    places = np.concatenate([even_points(outline), rim_feet(outline)])
     for _ in range(_TRIES):
         feet = places[rng.choice(len(places), rng.integers(FEWEST_FEET, MOST_FEET + 1), replace=False)]
         loads = balanced(feet, np.full(len(feet), 1.0 / len(feet)), centre_m, outline.size_m)

@@ -127,7 +127,9 @@ class InferInputBody(Body):
         Field(
             description="name of the tensor",
             examples=["pusher"],
-            json_schema_extra={"enum": ["pusher", "context", "silhouette", "outline", "body", "context_index"]},
+            json_schema_extra={
+                "enum": ["pusher", "context", "silhouette", "outline", "support", "body", "context_index"]
+            },
         ),
     ]
     datatype: Annotated[Literal["FP32", "INT64"], Field(description="INT64 for context_index", examples=["FP32"])]
@@ -188,9 +190,9 @@ class InferRequestBody(Body):
         FailFast(),
         Field(
             min_length=1,
-            max_length=5,
-            description="pusher, and for models that take a context also context, or silhouette, outline and body of "
-            "shapes, and context_index; context_index may be left out if there is one context, or one per push",
+            max_length=6,
+            description="pusher, and for models that take a context also context, or silhouette, outline, support and "
+            "body of shapes, and context_index; context_index may be left out if there is one context, or one per push",
             examples=[[_PUSHER_EXAMPLE]],
         ),
     ]

@@ -116,6 +116,15 @@ def _outlines(given: Array) -> FloatArray:
     return given.astype(np.float32)
 
 
+def _supports(given: Array) -> FloatArray:
+    """Return points of support (g, 37, 3)."""
+    shares = given[..., 2]
+    if np.abs(given[..., :2]).max() > SHAPE_REACH_M or shares.min() < 0.0 or shares.sum(axis=1).min() <= 0.0:
+        accepted = f"points within {SHAPE_REACH_M:g} m, and shares of the weight of 0 or more, not all 0"
+        raise InvalidRequestError.at("inputs support", "a point out of reach, or shares that bear no weight", accepted)
+    return given.astype(np.float32)
+
+
 def _bodies(given: Array) -> FloatArray:
     """Return the values of bodies (g, 11)."""
     for column, name in enumerate(BODY):
@@ -134,5 +143,6 @@ _CHECKS: Final[dict[tuple[ContextKind, str], Callable[[Array], FloatArray]]] = {
     (ContextKind.VISUAL, CONTEXT): _levels,
     (ContextKind.SHAPE, "silhouette"): _silhouettes,
     (ContextKind.SHAPE, "outline"): _outlines,
+    (ContextKind.SHAPE, "support"): _supports,
     (ContextKind.SHAPE, "body"): _bodies,
 }

@@ -7,6 +7,7 @@ from service.model.tensors import ContextKind
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
 from service.pushing.shape_context import BODY, CORNERS, SILHOUETTE_SIZE, ShapeContext, reduced, silhouette
+from service.pushing.support import MOST_POINTS
 
 BOX = ((0.0, 0.0), (0.12, 0.0), (0.12, 0.08), (0.0, 0.08))
 
@@ -21,7 +22,12 @@ def test_the_tensors_have_fixed_shapes_for_any_number_of_corners() -> None:
     """Every outline gives tensors of the same shapes and type."""
     for corners in (_circle(3), _circle(CORNERS), _circle(512)):
         found = ShapeContext(Outline.of(corners)).tensors()
-        assert [tensor.shape for tensor in found] == [(1, SILHOUETTE_SIZE, SILHOUETTE_SIZE), (CORNERS, 2), (len(BODY),)]
+        assert [tensor.shape for tensor in found] == [
+            (1, SILHOUETTE_SIZE, SILHOUETTE_SIZE),
+            (CORNERS, 2),
+            (MOST_POINTS, 3),
+            (len(BODY),),
+        ]
         assert {tensor.dtype for tensor in found} == {np.dtype(np.float32)}
         assert np.isfinite(np.concatenate([tensor.ravel() for tensor in found])).all()
 
@@ -31,7 +37,7 @@ def test_an_unknown_body_has_its_defaults_and_says_so() -> None:
     body = dict(zip(BODY, ShapeContext(Outline.of(BOX)).tensors().body.tolist(), strict=True))
     assert (body["centre_of_mass_x"], body["centre_of_mass_y"]) == pytest.approx((0.06, 0.04))
     assert body["centre_of_mass_is_known"] == body["friction_is_known"] == body["pusher_radius_is_known"] == 0.0
-    assert (body["friction"], body["pusher_radius"]) == pytest.approx((0.25, 0.00475))
+    assert (body["friction"], body["pusher_radius"]) == pytest.approx((0.20, 0.00475))
 
 
 def test_a_known_body_is_passed_on() -> None:

@@ -90,10 +90,10 @@ class Served(nn.Module):
         self.mechanics = PushMechanics(steps=1)
 
     def forward(
-        self, pusher: Tensor, silhouette: Tensor, outline: Tensor, body: Tensor, context_index: Tensor
+        self, pusher: Tensor, silhouette: Tensor, outline: Tensor, support: Tensor, body: Tensor, context_index: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return mean, std and unfamiliarity."""
-        found = self.mechanics(pusher, outline, body, context_index)
+        found = self.mechanics(pusher, outline, support, body, context_index)
         filled = silhouette.mean(dim=(1, 2, 3))[context_index]
         std = 0.01 + 0.0 * found.motion + torch.exp(filled)[:, None]
         return found.motion, std, torch.stack([found.left, filled], dim=1)

@@ -11,11 +11,9 @@ from training.simulation.bodies import (
     MOST_FEET,
     PRESSURES,
     RECORDED,
-    balanced,
     body,
     draw_body,
     draw_conditions,
-    even_feet,
     rim_feet,
 )
 
@@ -79,14 +77,6 @@ def test_few_feet_are_few_and_drawn() -> None:
     assert len({one.feet_m.tobytes() for one in made}) == 20
 
 
-def test_even_feet_spread_as_the_area_does() -> None:
-    """The mean square distance of the feet of a box from its centroid is that of its area, within 15 percent."""
-    outline = OUTLINES["box"]
-    spread = np.sqrt(((even_feet(outline) - outline.centroid_m) ** 2).sum(axis=1).mean())
-
-    assert spread == pytest.approx(outline.size_m, rel=0.15)
-
-
 def test_rim_feet_lie_on_the_rim_at_even_distances() -> None:
     """All are on the outline, and no two are nearer than the shape makes them."""
     outline = OUTLINES["box"]
@@ -94,14 +84,6 @@ def test_rim_feet_lie_on_the_rim_at_even_distances() -> None:
 
     assert np.abs(outline.distance_m(feet)).max() < 1e-12
     assert np.linalg.norm(np.diff(feet, axis=0), axis=1).max() <= 0.26 / len(feet) + 1e-12
-
-
-def test_balanced_loads_are_the_spread_itself_if_that_balances() -> None:
-    """Four feet around their middle keep equal loads, and two feet that cannot balance a third place give none."""
-    square = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-
-    assert balanced(square, np.full(4, 0.25), np.zeros(2), 1.0) == pytest.approx(np.full(4, 0.25))
-    assert balanced(square[:2], np.full(2, 0.5), np.zeros(2), 1.0) is None
 
 
 def test_bodies_are_drawn_in_every_way_that_the_constants_name() -> None:

@@ -28,14 +28,14 @@ def test_fields_that_the_service_does_not_use_are_ignored() -> None:
     ("body", "where"),
     [
         (document(inputs=[]), "inputs"),
-        (document(inputs=[tensor("pusher", PUSHES)] * 6), "inputs"),
+        (document(inputs=[tensor("pusher", PUSHES)] * 7), "inputs"),
         (document(outputs=[{"name": "mean"}] * 4), "outputs"),
         (document(id="x" * 257), "id"),
         (changed(0, shape=[MAX_PUSHES + 1, 3]), "inputs.0.shape.0"),
         (changed(0, shape=[1] * (LARGEST_RANK + 1)), "inputs.0.shape"),
         (changed(0, datatype="BYTES"), "inputs.0.datatype"),
     ],
-    ids=["no inputs", "six inputs", "four outputs", "a long id", "many pushes", "a high rank", "another type"],
+    ids=["no inputs", "seven inputs", "four outputs", "a long id", "many pushes", "a high rank", "another type"],
 )
 def test_a_body_outside_of_its_bounds_is_refused(body: Any, where: str) -> None:
     """A list, a shape, an id or a type beyond its bounds is refused with its field."""

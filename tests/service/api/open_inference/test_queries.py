@@ -75,7 +75,7 @@ def test_a_request_against_the_rules_is_a_400_that_names_its_field(client: TestC
     assert client.get("/v2/health/live").status_code == 200
 
 
-SHAPES = dict(zip(("silhouette", "outline", "body"), shape_tensors(ShapeContext(BOX)), strict=True))
+SHAPES = dict(zip(("silhouette", "outline", "support", "body"), shape_tensors(ShapeContext(BOX)), strict=True))
 LONG_PUSHES = np.array([[-0.1, 0.0, 0.0, 0.05], [0.0, -0.1, 1.5, 0.02]], dtype=np.float32)
 
 

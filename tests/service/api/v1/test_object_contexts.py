@@ -126,7 +126,7 @@ def test_a_shape_that_was_seen_has_the_same_tensors() -> None:
 def test_a_repeated_outline_is_encoded_once() -> None:
     """The batch has the tensors of each distinct shape, and the index names it for each push."""
     found = encode_contexts([square(1), square(3), square(1)], np.array([2, 1, 0, 2]))
-    assert [tensor.shape for tensor in found.tensors] == [(2, 1, 32, 32), (2, 64, 2), (2, 11)]
+    assert [tensor.shape for tensor in found.tensors] == [(2, 1, 32, 32), (2, 64, 2), (2, 37, 3), (2, 11)]
     assert found.index is not None
     assert found.index.tolist() == [0, 1, 0, 0]
 
