@@ -95,7 +95,7 @@ class PushMechanics(nn.Module):
         edges = self.edges(outline, centroid[:, None], size[:, None])
         points = (support[..., :2] - centroid[:, None]) / size[:, None]
         moments = torch.cat([torch.ones_like(points[..., :1]), points, (points * points).sum(2, keepdim=True)], dim=2)
-        parts = (points, support[..., 2], moments, body)
+        parts: tuple[Tensor, ...] = (points, support[..., 2], moments, body)
         if context_index is not None:
             edges = Edges(*(torch.index_select(part, 0, context_index) for part in edges))
             parts = tuple(torch.index_select(part, 0, context_index) for part in parts)
