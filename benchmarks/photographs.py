@@ -24,11 +24,12 @@ Range = tuple[float, float]
 TABLES: Final = ("plain", "wood", "cloth", "stone")
 SHADOWS: Final = ("none", "soft", "hard")
 LIGHTS: Final = ("even", "uneven", "spot")
-LONGER_SIDE: Final = (640, 1280)  # pixels
+LONGER_SIDE: Final = (960, 1600)  # pixels
 ASPECTS: Final = (1.0, 4.0 / 3.0, 3.0 / 2.0, 16.0 / 9.0)
 SHARES: Final[Range] = (0.05, 0.70)  # extent of the object over the shorter side of the picture
 MARGIN: Final = 0.02  # of the shorter side: kept free between object and border
-LEAST_CONTRAST: Final = 0.16  # distance of object and table in RGB of 0 to 1
+LEAST_CONTRAST: Final = 0.18  # difference of object and table, in a channel of 0 to 1
+LEAST_OVER_PATTERN: Final = 4.0  # ... and in standard deviations of the table's own pattern
 DARKER: Final = 0.08  # difference of luma from which an object counts as darker or lighter
 SHADOW_DEPTH: Final[Range] = (0.15, 0.55)  # loss of light
 BLUR_PIXELS: Final[Range] = (0.4, 1.5)
@@ -158,9 +159,10 @@ def _drawn(rng: np.random.Generator, layout: _Layout) -> Photograph:
     shadow, light = str(rng.choice(SHADOWS, p=(0.25, 0.55, 0.2))), str(rng.choice(LIGHTS, p=(0.3, 0.5, 0.2)))
     lamp_rad = rng.uniform(-math.pi, math.pi)
     mean = table.reshape(-1, 3).mean(axis=0)
-    scene, surface, contrast = table, "plain", ""
+    scene, surface, contrast, grey = table, "plain", "", False
     if layout.polygons:
-        colour = _object_colour(mean, rng)
+        grey = rng.random() < 0.1
+        colour = _object_colour(mean, float(table.std(axis=(0, 1)).max()), grey, rng)
         surface = str(rng.choice(("plain", "shaded", "printed"), p=(0.4, 0.4, 0.2)))
         body = _body(colour, surface, coverage, lamp_rad, rng)
         lost = _shadow(shadow, coverage, lamp_rad, layout.share * min(size), rng)
@@ -169,7 +171,7 @@ def _drawn(rng: np.random.Generator, layout: _Layout) -> Photograph:
         difference = float((colour - mean) @ LUMA)
         contrast = "darker" if difference < -DARKER else "lighter" if difference > DARKER else "another hue"
     lit = scene * _light(light, size, lamp_rad, rng)[..., None]
-    levels = _sensed(lit, rng)
+    levels = _sensed(lit, grey, rng)
     conditions = Conditions(layout.family, table_kind, shadow, light, contrast, layout.share, surface)
     return Photograph(levels, coverage >= 0.5, conditions if layout.polygons else None)
 
@@ -178,7 +180,8 @@ def rendered_mask(polygon: npt.NDArray[np.float64], size: tuple[int, int]) -> Pl
     """Return the share of each pixel [height, width] that a polygon in pixels covers."""
     many = _SUPERSAMPLING
     image = Image.new("L", (size[0] * many, size[1] * many))
-    ImageDraw.Draw(image).polygon([(x * many - 0.5, y * many - 0.5) for x, y in polygon.tolist()], fill=255)
+    whole = np.rint(polygon * many - 0.5).astype(int)  # Pillow would cut off fractions
+    ImageDraw.Draw(image).polygon([(x, y) for x, y in whole.tolist()], fill=255)
     return np.asarray(image.reduce(many), dtype=np.float32) / np.float32(255.0)
 
 
@@ -235,12 +238,15 @@ def noise(size: tuple[int, int], cell: float, rng: np.random.Generator, stretch:
     return np.asarray((plane - plane.mean()) / max(float(plane.std()), 1e-6), dtype=np.float32)
 
 
-def _object_colour(table: Plane, rng: np.random.Generator) -> Plane:
-    """Draw a colour, grey in a third of the draws, that differs from the table's mean."""
-    while True:
+def _object_colour(table: Plane, pattern: float, grey: bool, rng: np.random.Generator) -> Plane:
+    """Draw a colour, neutral in a third of the draws, that differs from the table's mean, or in luma if it is grey."""
+    least = max(LEAST_CONTRAST, LEAST_OVER_PATTERN * pattern)
+    for _ in range(1000):
         colour = np.full(3, rng.uniform(0.03, 0.95)) if rng.random() < 0.35 else rng.uniform(0.03, 0.95, 3)
-        if np.abs(colour - table).max() >= LEAST_CONTRAST:
+        difference = colour - table
+        if (abs(float(difference @ LUMA)) if grey else float(np.abs(difference).max())) >= least:
             return np.asarray(colour, dtype=np.float32)
+    return np.full(3, 0.03 if table.mean() > 0.5 else 0.95, dtype=np.float32)
 
 
 def _body(colour: Plane, surface: str, coverage: Plane, lamp_rad: float, rng: np.random.Generator) -> Plane:
@@ -294,13 +300,13 @@ def _light(kind: str, size: tuple[int, int], lamp_rad: float, rng: np.random.Gen
     return np.asarray(fall, dtype=np.float32)
 
 
-def _sensed(scene: Plane, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-    """Add blur, sensor noise and JPEG, in colour or, in a tenth of the draws, in grey."""
+def _sensed(scene: Plane, grey: bool, rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """Add blur, sensor noise and JPEG, in colour or in grey."""
     eight = np.clip(scene * 255.0 + 0.5, 0.0, 255.0).astype(np.uint8)
     blurred = Image.fromarray(eight).filter(ImageFilter.GaussianBlur(float(rng.uniform(*BLUR_PIXELS))))
     noisy = np.asarray(blurred, dtype=np.float32) + 255.0 * rng.uniform(*NOISE) * rng.normal(size=scene.shape)
     image = Image.fromarray(np.clip(noisy + 0.5, 0.0, 255.0).astype(np.uint8))
-    if rng.random() < 0.1:
+    if grey:
         image = image.convert("L").convert("RGB")
     buffer = io.BytesIO()
     image.save(buffer, "JPEG", quality=int(rng.integers(*JPEG_QUALITY)))

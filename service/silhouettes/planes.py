@@ -40,7 +40,8 @@ def grown(mask: Mask, pixels: int) -> Mask:
 def filled(boundary: npt.NDArray[np.float64], shape: tuple[int, int]) -> Mask:
     """Return the pixels [h, w] inside of a boundary (n, 2)."""
     image = Image.new("L", (shape[1], shape[0]))
-    ImageDraw.Draw(image).polygon([(x, y) for x, y in (boundary - 0.5).tolist()], fill=255)
+    whole = np.rint(boundary - 0.5).astype(int)  # Pillow would cut off fractions
+    ImageDraw.Draw(image).polygon([(x, y) for x, y in whole.tolist()], fill=255)
     return np.asarray(image) > 0
 
 
@@ -52,6 +53,16 @@ def reduced(levels: npt.NDArray[np.uint8], side: int) -> npt.NDArray[np.uint8]:
         return levels
     size = max(1, round(width / factor)), max(1, round(height / factor))
     return np.asarray(Image.fromarray(levels).resize(size, Image.Resampling.BOX))
+
+
+def resized(levels: npt.NDArray[np.uint8], side: int) -> npt.NDArray[np.uint8]:
+    """Return colours [h, w, 3] whose longer side has ``side`` pixels, or less where that would be over 3 times more."""
+    height, width = levels.shape[:2]
+    factor = min(side / max(height, width), 3.0)
+    if factor <= 1.0:
+        return reduced(levels, side)
+    size = round(width * factor), round(height * factor)
+    return np.asarray(Image.fromarray(levels).resize(size, Image.Resampling.BICUBIC))
 
 
 def least_variation(cost: Plane, boundary: Plane, rounds: int) -> Plane:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from service.silhouettes.mixtures import Colours, fitted, sampled, squares
-from service.silhouettes.planes import Mask, Plane, blurred, filled, grown, least_variation, reduced
+from service.silhouettes.planes import Mask, Plane, blurred, filled, grown, least_variation, reduced, resized
 from service.silhouettes.tables import light_ratios
 from service.silhouettes.tracing import Region, regions
 from service.turns import pause
@@ -22,9 +22,10 @@ SEARCH_SIDE: Final = 256  # pixels of the longer side, where candidates are sear
 CUT_SIDE: Final = 288  # ... and where the object is segmented
 LEAST_SIDE: Final = 16  # pixels of the shorter side in which an object can be told from a table
 _SCALES: Final = ((0.7, 1.0), (1.5, 1.0), (3.5, 0.7))  # blur in pixels, and weight
+RIVAL: Final = 0.15  # of the strongest candidate's strength: another object
 _CANDIDATE: Final = 14.0  # squared Mahalanobis distance from the table where a candidate begins
 _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
-_SHADOW_DEPTH: Final = 0.7  # loss of light in the deepest shadow
+_SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
 _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 
 
@@ -32,7 +33,7 @@ _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 class _Candidate:
     region: Region
     strength: float
-    """sum of the squared distances from the table inside, of pixels each at most 150"""
+    """sum of the squared distances from the table inside, each at most 150, times the sharpness of the boundary"""
 
 
 def segment(levels: npt.NDArray[np.uint8]) -> list[Region]:
@@ -50,11 +51,13 @@ def segment(levels: npt.NDArray[np.uint8]) -> list[Region]:
     room = max(6.0 * scale, _ROOM * float((high - low).max()))
     left, top = np.maximum(0, np.floor(low - room)).astype(int)
     right, bottom = np.minimum(levels.shape[1::-1], np.ceil(high + room)).astype(int)
-    cut = reduced(levels[top:bottom, left:right], CUT_SIDE)
+    cut = resized(levels[top:bottom, left:right], CUT_SIDE)
     cut_scale = (right - left) / cut.shape[1]
     seed = filled((first - (left, top)) / cut_scale, cut.shape[:2])
     refined = regions(_refined(cut, seed), 4)
-    return [Region(one.boundary * cut_scale + (left, top), one.area * cut_scale**2) for one in refined]
+    found_here = [Region(one.boundary * cut_scale + (left, top), one.area * cut_scale**2) for one in refined]
+    others = [one for one in found[1:] if one.strength > RIVAL * found[0].strength]
+    return found_here + [Region(one.region.boundary * scale, one.region.area * scale**2) for one in others]
 
 
 def _candidates(small: npt.NDArray[np.uint8]) -> list[_Candidate]:
@@ -63,7 +66,7 @@ def _candidates(small: npt.NDArray[np.uint8]) -> list[_Candidate]:
     weights = np.full((height, width), 0.25, dtype=np.float32)
     frame = max(2, round(min(height, width) * 0.1))
     weights[:frame] = weights[-frame:] = weights[:, :frame] = weights[:, -frame:] = 1.0
-    ratios, alike = light_ratios(small, weights, 3)
+    ratios, alike = light_ratios(small, weights, 4)
     distance = np.zeros((height, width), dtype=np.float32)
     for sigma, weight in _SCALES:
         offsets = blurred(ratios, sigma) - np.float32(1.0)
@@ -71,10 +74,13 @@ def _candidates(small: npt.NDArray[np.uint8]) -> list[_Candidate]:
         distance = np.maximum(distance, np.float32(weight) * squares(offsets, covariance))
     cost = np.clip((np.float32(_CANDIDATE) - distance) / 6, -3, 2).astype(np.float32)
     plane = least_variation(cost, np.ones_like(cost), 80)
-    strengths = np.minimum(distance, 150.0)
-    found = [
-        _Candidate(one, float(strengths[filled(one.boundary, (height, width))].sum())) for one in regions(plane, 12)
-    ]
+    strengths, change = np.minimum(distance, 150.0), np.sqrt(_change(ratios))
+    typical = float(np.median(change)) + 1e-3
+    found = []
+    for one in regions(plane, 12):
+        mask = filled(one.boundary, (height, width))
+        edge = float(change[grown(mask, 1) & ~grown(mask, -1)].mean()) / typical
+        found.append(_Candidate(one, float(strengths[mask].sum()) * edge**2))
     return sorted(found, key=lambda one: -one.strength)
 
 
@@ -156,12 +162,18 @@ def _divide(values: Colours) -> float:
 
 def _boundary_cost(ratios: Plane) -> Plane:
     """Return the cost of a boundary, [h, w]: low where colours change."""
+    change = _change(ratios)
+    typical = 2.0 * float(np.median(change)) + 1e-4
+    return np.asarray(1.6 * np.exp(-change / np.float32(4.0 * typical)) + 0.4, dtype=np.float32)
+
+
+def _change(ratios: Plane) -> Plane:
+    """Return the squared difference of colours between neighbours, [h, w]."""
     smooth = blurred(ratios, 0.7)
     change = np.zeros(smooth.shape[:2], dtype=np.float32)
     change[:, :-1] += ((smooth[:, 1:] - smooth[:, :-1]) ** 2).sum(axis=2)
     change[:-1] += ((smooth[1:] - smooth[:-1]) ** 2).sum(axis=2)
-    typical = 2.0 * float(np.median(change)) + 1e-4
-    return np.asarray(1.6 * np.exp(-change / np.float32(4.0 * typical)) + 0.4, dtype=np.float32)
+    return change
 
 
 def _halved(ratios: Plane, coverage: Plane) -> Plane:
