@@ -22,8 +22,9 @@ SEARCH_SIDE: Final = 256  # pixels of the longer side, where candidates are sear
 CUT_SIDE: Final = 288  # ... and where the object is segmented
 LEAST_SIDE: Final = 16  # pixels of the shorter side in which an object can be told from a table
 _SCALES: Final = ((0.7, 1.0), (1.5, 1.0), (3.5, 0.7))  # blur in pixels, and weight
-RIVAL: Final = 0.15  # of the strongest candidate's strength: another object
+RIVAL: Final = 0.5  # of the strongest candidate's strength: another object
 _CANDIDATE: Final = 14.0  # squared Mahalanobis distance from the table where a candidate begins
+_PIECE: Final = 0.1  # of the largest area: another piece of the same candidate
 _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
 _SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
 _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
@@ -55,6 +56,8 @@ def segment(levels: npt.NDArray[np.uint8]) -> list[Region]:
     cut_scale = (right - left) / cut.shape[1]
     seed = filled((first - (left, top)) / cut_scale, cut.shape[:2])
     refined = regions(_refined(cut, seed), 4)
+    if len(refined) > 1 and refined[1].area > _PIECE * refined[0].area:  # a dark part was taken for a shadow
+        refined = regions(_refined(cut, seed, shadows=False), 4)
     found_here = [Region(one.boundary * cut_scale + (left, top), one.area * cut_scale**2) for one in refined]
     others = [one for one in found[1:] if one.strength > RIVAL * found[0].strength]
     return found_here + [Region(one.region.boundary * scale, one.region.area * scale**2) for one in others]
@@ -84,7 +87,7 @@ def _candidates(small: npt.NDArray[np.uint8]) -> list[_Candidate]:
     return sorted(found, key=lambda one: -one.strength)
 
 
-def _refined(cut: npt.NDArray[np.uint8], seed: Mask) -> Plane:
+def _refined(cut: npt.NDArray[np.uint8], seed: Mask, shadows: bool = True) -> Plane:
     """Return the coverage [h, w] of the object in a cut, given roughly by a seed."""
     shape = (cut.shape[0], cut.shape[1])
     size = max(2, round(0.08 * float(seed.sum()) ** 0.5))
@@ -96,6 +99,8 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask) -> Plane:
         inner = seed
     table = sampled(colours[outside.ravel()])
     shadow, chosen = _shadow(colours, table, inner.ravel())
+    if not shadows:
+        shadow, chosen = np.full_like(shadow, -60.0), inner.ravel()
     near = grown(seed, 2 * size)
     edge = _boundary_cost(ratios)
     coverage = seed.astype(np.float32)

@@ -28,14 +28,15 @@ def light_ratios(levels: npt.NDArray[np.uint8], weights: Plane, degree: int) -> 
     """
     height, width = levels.shape[:2]
     colours = levels.reshape(-1, 3).astype(np.float32) / np.float32(255.0) + _DARK
-    terms = _terms(height, width, degree)
+    terms, degrees = _terms(height, width, degree)
     prior = weights.ravel()
     kept = prior
-    for _ in range(_ROUNDS):
-        weighted = terms * kept[:, None]
-        normal = (weighted.T @ terms).astype(np.float64) + 1e-6 * kept.sum() * np.eye(terms.shape[1])
+    for number in range(_ROUNDS):
+        used = terms[:, degrees <= 1 + number]  # from flat to curved, so that no large object bends the table
+        weighted = used * kept[:, None]
+        normal = (weighted.T @ used).astype(np.float64) + 1e-6 * kept.sum() * np.eye(used.shape[1])
         factors = np.linalg.solve(normal, weighted.T @ colours).astype(np.float32)
-        table = np.maximum(terms @ factors, _DARK / np.float32(2.0))
+        table = np.maximum(used @ factors, _DARK / np.float32(2.0))
         ratios: Plane = colours / table
         offsets: Plane = ratios - np.float32(1.0)
         covariance = (offsets * kept[:, None]).T @ offsets / kept.sum() + _FLOOR
@@ -46,9 +47,10 @@ def light_ratios(levels: npt.NDArray[np.uint8], weights: Plane, degree: int) -> 
     return ratios.reshape(height, width, 3), alike.reshape(height, width)
 
 
-def _terms(height: int, width: int, degree: int) -> Plane:
-    """Return the terms of a polynomial in both coordinates, (pixels, terms)."""
+def _terms(height: int, width: int, degree: int) -> tuple[Plane, npt.NDArray[np.int64]]:
+    """Return the terms of a polynomial in both coordinates, (pixels, terms), and the degree of each."""
     x = np.linspace(-1.0, 1.0, width, dtype=np.float32)[None, :]
     y = np.linspace(-1.0, 1.0, height, dtype=np.float32)[:, None]
     powers = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    return np.stack([(x**i * y**j).ravel() for i, j in powers], axis=1)
+    terms = np.stack([(x**i * y**j).ravel() for i, j in powers], axis=1)
+    return terms, np.array([i + j for i, j in powers])
