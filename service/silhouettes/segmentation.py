@@ -22,11 +22,12 @@ SEARCH_SIDE: Final = 256  # pixels of the longer side, where candidates are sear
 CUT_SIDE: Final = 288  # ... and where the object is segmented
 LEAST_SIDE: Final = 16  # pixels of the shorter side in which an object can be told from a table
 _SCALES: Final = ((0.7, 1.0), (1.5, 1.0), (3.5, 0.7))  # blur in pixels, and weight
-RIVAL: Final = 0.5  # of the strongest candidate's strength: another object
+RIVAL: Final = 0.35  # of the strongest candidate's strength: another object
 _CANDIDATE: Final = 14.0  # squared Mahalanobis distance from the table where a candidate begins
 _PIECE: Final = 0.1  # of the largest area: another piece of the same candidate
 _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
 _SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
+_SHADOW_STEP: Final = 0.2  # of brightness, between a grey object and its shadow
 _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 
 
@@ -98,7 +99,7 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, shadows: bool = True) -> Pl
     if inner.sum() < 40:
         inner = seed
     table = sampled(colours[outside.ravel()])
-    shadow, chosen = _shadow(colours, table, inner.ravel())
+    shadow, chosen = _shadow(colours, table, seed, inner.ravel())
     if not shadows:
         shadow, chosen = np.full_like(shadow, -60.0), inner.ravel()
     near = grown(seed, 2 * size)
@@ -122,7 +123,9 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, shadows: bool = True) -> Pl
     return _halved(ratios, coverage)
 
 
-def _shadow(colours: Colours, table: Colours, inner: npt.NDArray[np.bool_]) -> tuple[Colours, npt.NDArray[np.bool_]]:
+def _shadow(
+    colours: Colours, table: Colours, seed: Mask, inner: npt.NDArray[np.bool_]
+) -> tuple[Colours, npt.NDArray[np.bool_]]:
     """Return the logarithm of the density of a shadow (n,), and the pixels of the seed that are no shadow.
 
     In a shadow, all channels are darker by the same factor. Where nearly all of the seed is so, the object itself is
@@ -143,17 +146,21 @@ def _shadow(colours: Colours, table: Colours, inner: npt.NDArray[np.bool_]) -> t
     chosen = inner & ~shadowy
     if chosen.sum() >= 0.3 * inner.sum():
         return density.astype(np.float32), chosen
-    levels: Colours = along[inner]
+    levels: Colours = along[seed.ravel()]
     limit = _divide(levels)
-    darker, lighter = levels[levels <= limit], levels[levels > limit]
+    lighter = seed & (along > limit).reshape(seed.shape)
+    darker = seed & ~lighter
+    thick = grown(lighter, -2).sum() > 0.15 * lighter.sum()  # unlike the blurred edge of an object
     apart = (
-        min(len(darker), len(lighter)) > 0.05 * len(levels)
-        and len(darker) > 0.3 * len(levels)
-        and lighter.mean() - darker.mean() > 3.0 * max(float(darker.std()), 0.04)
+        thick
+        and lighter.sum() > 0.04 * len(levels)
+        and darker.sum() > 0.3 * len(levels)
+        and np.median(levels[levels > limit]) - np.median(levels[levels <= limit]) > _SHADOW_STEP
     )
     if not apart:
         return np.full(len(colours), -60.0, dtype=np.float32), inner
-    return np.where(along > limit, density, -60.0).astype(np.float32), inner & (along <= limit)
+    chosen = grown(darker, -2) if grown(darker, -2).sum() > 40 else darker
+    return np.where(along > limit, density, -60.0).astype(np.float32), chosen.ravel()
 
 
 def _divide(values: Colours) -> float:
