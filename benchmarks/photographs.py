@@ -95,6 +95,14 @@ def empty_table(rng: np.random.Generator) -> Photograph:
     return _drawn(rng, _Layout(width, height, (), "", 0.0))
 
 
+def photograph_of(
+    polygon: npt.NDArray[np.float64], size: tuple[int, int], table: str, rng: np.random.Generator
+) -> Photograph:
+    """Draw a photograph of an outline in pixels from the upper left corner, on a table of a kind of ``TABLES``."""
+    share = float(np.ptp(polygon, axis=0).max()) / min(size)
+    return _drawn(rng, _Layout(*size, (polygon,), "", share), table)
+
+
 @dataclass(frozen=True, eq=False)
 class _Layout:
     """Objects in a picture, as polygons in pixels from the upper left corner."""
@@ -148,10 +156,10 @@ def _apart(polygons: list[npt.NDArray[np.float64]], gap: float) -> bool:
     return bool(clear.max() > gap)
 
 
-def _drawn(rng: np.random.Generator, layout: _Layout) -> Photograph:
-    """Draw table, objects, light and optics."""
+def _drawn(rng: np.random.Generator, layout: _Layout, on: str = "") -> Photograph:
+    """Draw table (of a kind, or any), objects, light and optics."""
     size = (layout.width, layout.height)
-    table_kind = str(rng.choice(TABLES))
+    table_kind = on or str(rng.choice(TABLES))
     table = draw_table(table_kind, size, rng)
     coverage = np.zeros(size[::-1], dtype=np.float32)
     for polygon in layout.polygons:

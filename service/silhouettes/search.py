@@ -22,6 +22,7 @@ SCALE_FIELD: Final = "metres_per_pixel"
 SEVERAL_SHARE: Final = 0.25  # of the largest area: a second object as large as this makes the picture ambiguous
 FLAGGED_SHARE: Final = 0.02  # ... or as this is worth a flag
 LEAST_AREA: Final = 12.0  # pixels of an object
+MOST_STEPS: Final = 50_000  # of a boundary, from pixel to pixel: a longer one fills the picture with folds
 TOLERANCE: Final = 0.35  # pixels by which simplifying may move an outline
 _BORDER: Final = 1.0  # pixels: as near as this to the border an object touches it
 
@@ -90,6 +91,8 @@ def _judged(found: list[Region], picture: ColourImage, where: str) -> tuple[Regi
 
 def _simple(region: Region, where: str) -> DoubleArray:
     """Return a boundary as a simple polygon of few corners, in pixels. Simplified less where edges would cross."""
+    if len(region.boundary) > MOST_STEPS:
+        raise faults.unclear(where)
     for tolerance in (TOLERANCE, TOLERANCE / 4.0, 0.0):
         corners = simplified(region.boundary, MOST_CORNERS, tolerance)
         try:

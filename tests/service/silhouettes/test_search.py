@@ -82,6 +82,15 @@ def test_a_picture_without_a_single_silhouette_is_refused(levels: Levels, code: 
     assert caught.value.status == 422
 
 
+def test_a_boundary_that_folds_over_the_whole_picture_is_refused() -> None:
+    """A comb of 508 teeth in a picture of 2048 x 2048 would take a minute to simplify: it is no single silhouette."""
+    comb = mask_of((4, 4, 2044, 2044), size=(2048, 2048))
+    for left in range(8, 2040, 4):
+        comb[12:, left : left + 2] = 0
+    with pytest.raises(InvalidImageError, match="no single silhouette"):
+        find_outline(ColourImage.from_array(comb), 0.0001)
+
+
 def test_a_small_second_object_is_flagged() -> None:
     """Crumbs beside the object leave an answer, with a flag."""
     picture = ColourImage.from_array(mask_of(*L_SHAPE, (240, 150, 260, 175)))
