@@ -8,8 +8,8 @@ Every format that was published can be read for ever:
 
 1. The fields below, without a digest of its own.
 2. As format 1, with ``sha256``, the digest of the canonical text without it, so that every changed bit is found.
-3. As format 2, with ``validity``, and in ``calibration`` the scale of the deviations and the shares of joint regions.
-   The graph has a third output, ``unfamiliarity``, if the manifest declares it. All three are optional.
+3. As format 2, with ``validity``, ``rivals``, and in ``calibration`` the scale of the deviations and the shares of
+   joint regions. The graph has a third output, ``unfamiliarity``, if the manifest declares it. All are optional.
 """
 
 import hashlib
@@ -143,6 +143,14 @@ class Validity:
 
 
 @dataclass(frozen=True)
+class Rival:
+    """Figures of another version on the held-out data of this one, so that promotion compares like with like."""
+
+    metrics: Annotated[dict[Text, Metrics], FailFast(), Field(max_length=MAX_ENTRIES)]
+    calibration: Annotated[dict[Text, Calibration], FailFast(), Field(max_length=MAX_ENTRIES)]
+
+
+@dataclass(frozen=True)
 class Manifest:
     """Record of one version. ``name`` and ``version`` must be those of its folder."""
 
@@ -164,6 +172,7 @@ class Manifest:
     files: Annotated[dict[str, FileDigest], FailFast()]
     format: Annotated[int, Field(ge=FORMATS[0], le=FORMATS[-1])] = FORMAT
     validity: Validity | None = None
+    rivals: dict[Text, Rival] | None = None  # by the number of their version
 
     @classmethod
     def parse(cls, content: bytes) -> Self:
@@ -177,7 +186,9 @@ class Manifest:
         if set(manifest.files) != {MODEL_FILE, CARD_FILE}:
             raise BrokenModelError(f"{MANIFEST_FILE}: files: expected exactly {MODEL_FILE} and {CARD_FILE}")
         if manifest.format < _OPTIONAL_SINCE and any(_optional_parts(manifest)):
-            raise BrokenModelError(f"{MANIFEST_FILE}: format: {manifest.format} has no validity, scale or regions")
+            raise BrokenModelError(
+                f"{MANIFEST_FILE}: format: {manifest.format} has no validity, rivals, scale or regions"
+            )
         if document.sha256 != "" if manifest.format == 1 else manifest.render() != content:
             raise BrokenModelError(f"{MANIFEST_FILE}: {_DIGEST_KEY}: not the text that was published")
         return manifest
@@ -222,6 +233,7 @@ def _read(content: bytes) -> _Document:
 def _optional_parts(manifest: Manifest) -> Iterator[bool]:
     """Yield for each part that came with format 3 whether it is there."""
     yield manifest.validity is not None
+    yield manifest.rivals is not None
     for found in manifest.calibration.values():
         yield any(part is not None for part in (found.scale, found.regions_50, found.regions_90, found.regions_95))
 

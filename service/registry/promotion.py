@@ -2,7 +2,8 @@
 
 A version must pass the physics gates of its domain, and its held-out figures must not be worse than those of the
 version that the alias names now. The figures are those of the manifests. They are comparable only if both versions were
-measured on the same data and set-up.
+measured on the same data and set-up. For a champion of other data, the candidate's manifest may hold the champion's
+figures on the candidate's data, measured when the candidate was published.
 """
 
 import math
@@ -169,18 +170,20 @@ def _before(history: History, alias: str, current: int | None, versions: frozens
 def _figures(candidate: LoadedModel, champion: LoadedModel) -> Iterator[Verdict]:
     """Compare held-out likelihood and coverage for each set-up of the champion."""
     ours, theirs = candidate.manifest, champion.manifest
-    same = ours.data.sha256 == theirs.data.sha256  # figures are named by the set-up that they were measured on
-    for set_up in sorted(theirs.metrics):
-        if not same or set_up not in ours.metrics:
+    # Figures are named by the set-up that they were measured on.
+    same = ours.data.sha256 == theirs.data.sha256
+    known = theirs if same else (ours.rivals or {}).get(str(theirs.version))
+    for set_up in sorted((known or theirs).metrics):
+        if known is None or set_up not in ours.metrics:
             meaning = f"{set_up}: not measured on the data of version {theirs.version}, so not comparable"
             yield Verdict("held-out", False, math.inf, 0.0, meaning)
             continue
-        nll, limit = ours.metrics[set_up].nll, theirs.metrics[set_up].nll
+        nll, limit = ours.metrics[set_up].nll, known.metrics[set_up].nll
         yield Verdict(
             "nll", nll <= limit, nll, limit, f"{set_up}: NLL per push; version {theirs.version} has {limit:.3f}"
         )
-        if set_up in ours.calibration and set_up in theirs.calibration:
-            yield _coverage(set_up, ours.calibration[set_up], theirs.calibration[set_up], ours.data.held_out_pushes)
+        if set_up in ours.calibration and set_up in known.calibration:
+            yield _coverage(set_up, ours.calibration[set_up], known.calibration[set_up], ours.data.held_out_pushes)
 
 
 def _coverage(set_up: str, ours: Calibration, theirs: Calibration, pushes: int) -> Verdict:

@@ -11,12 +11,14 @@ from service.cli.terminal import echo, echo_lines
 from service.model.reference import DEFAULT_ALIAS, is_alias
 from service.registry.registry import NOWHERE, Registry
 from training.cli.options import data_option, registry_option, run_argument, views_option
-from training.fitting.evaluation import Evaluation
+from training.fitting.bands import bands, calibrated
+from training.fitting.evaluation import COVERAGE_LEVELS, Evaluation, Predictions
 from training.fitting.evaluation import evaluate as evaluate_network
 from training.fitting.recipe import SET_UPS, read_recipe
 from training.fitting.run_folder import load_run
 from training.fitting.samples import read_pushes, read_training_data
 from training.fitting.training_loop import fit
+from training.networks.push_network import PushNetwork
 from training.omnipush.layout import data_options
 from training.omnipush.views import convention_of, views_beside
 from training.publishing.publish import publish as publish_network
@@ -41,7 +43,7 @@ def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, 
     run = run or RUNS / "-".join(filter(None, (Path(recipe).stem, set_up)))
     wanted = read_recipe(recipe)
     wanted = wanted if set_up is None else replace(wanted, set_up=set_up)
-    fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views), run)
+    fit(wanted, read_training_data(wanted.split(), wanted.context_kind, folder, views, wanted.camera_views), run)
     following = f"evaluate {run}" if wanted.split().test else f"publish {run} --measured RUN"
     echo(f"weights and metrics are in {run}; next: cazsl-train {following}{data_options(folder, views)}")
 
@@ -51,16 +53,23 @@ def fit_recipe(recipe: str, folder: Path, views: Path | None, run: Path | None, 
 @data_option
 @views_option
 def evaluate(run: Path, folder: Path, views: Path | None) -> None:
-    """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects."""
+    """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects.
+
+    Deviations are calibrated, as they would be published, and coverage is shown by ring of starts and band of aims.
+    """
     recipe, network, _ = load_run(run)
     split = recipe.split()
     if not split.test:
         raise click.ClickException(f"{run} was trained on every object; evaluate its recipe on different-objects")
-    data = read_training_data(split, recipe.context_kind, folder, views)
-    found = evaluate_network(network, data.held_out)
+    data = read_training_data(split, recipe.context_kind, folder, views, recipe.camera_views)
     source = data.origin.get("held_out_source", data.origin["source"])
     echo(f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {source}")
-    echo_lines(_figures(found))
+    echo_lines(_figures(evaluate_network(network, data.held_out)))
+    if isinstance(network, PushNetwork):
+        found = calibrated(network, data.held_out)
+        echo(f"with every deviation times {found.factor:.3f}, a factor from held-out objects:")
+        for kind, predictions in found.predictions.items():
+            echo_lines(_bands(kind, predictions))
     echo(f"next: cazsl-train publish {run}{data_options(folder, views)}")
 
 
@@ -87,7 +96,7 @@ def publish(
     use cazsl models promote, which compares the two versions first.
     """
     recipe, network, trained_on = load_run(run)
-    pushes = read_pushes(folder, recipe.context_kind, views)
+    pushes = read_pushes(folder, recipe.context_kind, views, recipe.camera_views)
     if not is_alias(alias):
         raise click.ClickException(
             f"--alias: {alias} is not an alias; use lower-case letters, digits, '-' and '_', and not a number"
@@ -109,6 +118,18 @@ def publish(
     store.point_alias(manifest.name, alias, manifest.version, expect=NOWHERE)
     echo(f"{manifest.name}@{alias} is version {manifest.version} now")
     echo(f"next: cazsl models show {manifest.name}@{manifest.version}")
+
+
+def _bands(kind: str, found: Predictions) -> str:
+    """Return a table of coverage by band, under the figures of all pushes."""
+    figures = [(kind or "all pushes", len(found.mean), found.measures())]
+    figures += [(band.name(), band.pushes, band.found) for band in bands(found)]
+    levels = "".join(f"{100 * level:.0f} % cov.".rjust(13) for level in COVERAGE_LEVELS)
+    lines = [" " * 24 + "pushes".rjust(8) + "RMSE".rjust(9) + levels]
+    for name, pushes, each in figures:
+        shares = "".join(f"{100 * share:.1f} %".rjust(13) for share in each.coverage.values())
+        lines.append(f"{name:24s}{pushes:8d}{each.rmse:9.4f}{shares}")
+    return "\n".join(lines)
 
 
 def _figures(found: Evaluation) -> str:

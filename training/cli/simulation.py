@@ -16,9 +16,9 @@ from training.inspection.text import statistics_lines
 from training.omnipush.layout import SIMULATED, data_options
 from training.omnipush.published import different_surfaces, omnipush_descriptors, published_normalisation
 from training.omnipush.pushes import read_folder
-from training.omnipush.views import VIEWS_FOLDER, read_views
+from training.omnipush.views import VIEWS_FOLDER, camera_views_beside, read_camera_views, read_views
 from training.simulation.dataset import Simulation, simulate_dataset
-from training.simulation.drawing import write_views
+from training.simulation.drawing import write_camera_views, write_views
 from training.simulation.plans import APPROACH, DEFAULT_PLAN, OMNIPUSH_APPROACH, PLANS, approach_plan
 from training.simulation.surfaces import ABS, SURFACES
 
@@ -106,17 +106,22 @@ def _describe_pushes(folder: Path, simulated: int, seconds: float) -> None:
 @click.command("images")
 @argument("folder", type=FOLDER, required=False)
 @option("--camera", is_flag=True, help="Views as a camera would see them: light, table, blur, noise, JPEG.")
+@option(
+    "--views",
+    type=click.IntRange(1, 1024),
+    help="With --camera: so many views of each object, reduced to 32 x 32, for training.",
+)
 @option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the effects of --camera.")
 @option(
     "--gallery",
     type=FILE,
     help="Draw only this PNG: some objects as drawn, as a camera sees them, and as a model's input.",
 )
-def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | None) -> None:
+def draw_images(folder: Path | None, camera: bool, views: int | None, seed: int, gallery: Path | None) -> None:
     """Draw the top-down views of all 250 objects into FOLDER, in Omnipush's file format.
 
-    The default FOLDER is data/approach/top-down_view, with --camera data/approach/top-down_view-camera. Existing
-    views are kept. The files depend on object and seed alone.
+    The default FOLDER is data/approach/top-down_view, with --camera data/approach/top-down_view-camera, and with
+    --views data/approach/top-down_view-cameras. Existing views are kept. The files depend on object and seed alone.
     """
     if gallery is not None:
         if gallery.suffix.lower() != ".png":
@@ -125,6 +130,16 @@ def draw_images(folder: Path | None, camera: bool, seed: int, gallery: Path | No
 
         draw_gallery(gallery, seed=seed)
         echo(f"{gallery} shows clean views, camera views, and the 32 x 32 input of a model")
+        return
+    if views is not None:
+        if not camera:
+            raise click.UsageError("--views draws many camera views of each object. Add --camera.")
+        folder = folder or camera_views_beside(DEFAULT_VIEWS)
+        write_camera_views(folder, omnipush_descriptors(), views, seed)
+        found = read_camera_views(folder, omnipush_descriptors(), views)
+        digest = hashlib.sha256(found.tobytes()).hexdigest()
+        echo(f"{folder}: {views} camera views of each of {len(found)} objects, 32 x 32; sha256 of all: {digest}")
+        echo("next: cazsl-train fit push-visual")
         return
     folder = folder or (DEFAULT_CAMERA_VIEWS if camera else DEFAULT_VIEWS)
     descriptors = omnipush_descriptors()

@@ -27,15 +27,22 @@ from training.omnipush.published import published_normalisation
 # The greatest distance from an object's centre to its edge, plus the pusher's radius. Omnipush's pushes start outside.
 OBJECT_REACH_M: Final = 0.0755
 FURTHEST_START_M: Final = 0.300
+DRAWN_SHARE: Final = 0.25  # of the views of objects that have camera views
 Floats = npt.NDArray[np.float64]
 
 
 def augmented(samples: Samples, symmetries: bool, no_contact: float, rng: np.random.Generator) -> Samples:
     """Turn and mirror each object of a batch at random, and replace a share of its pushes by pushes without contact.
 
+    An object with camera views is seen by one of them, or as drawn.
+
     The random numbers depend on the generator alone.
     """
     objects = len(samples.inputs)
+    if samples.views is not None:
+        cameras = rng.integers(1, samples.views.shape[1], size=objects)
+        drawn = rng.uniform(size=objects) < DRAWN_SHARE
+        samples = samples.seen(torch.from_numpy(np.where(drawn, 0, cameras)))
     if symmetries:
         quarter_turns, mirrored = rng.integers(SIDES, size=objects), rng.integers(2, size=objects)
         samples = in_symmetric_frames(samples, torch.from_numpy(quarter_turns), torch.from_numpy(mirrored))

@@ -7,14 +7,21 @@ import torch
 from torch import Tensor
 
 
-def gaussian_nll(mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor, pushes: Tensor | None = None) -> Tensor:
+def gaussian_nll(
+    mean: Tensor, log_std: Tensor, target: Tensor, valid: Tensor, pushes: Tensor | None = None, beta: float = 0.0
+) -> Tensor:
     """Return the negative log likelihood, averaged over all valid pushes and their outputs.
 
     ``mean``, ``log_std`` and ``target`` are (objects, pushes, outputs), ``valid`` is (objects, pushes): one or zero.
     For a shard of a batch, ``pushes`` is the number of valid pushes in the whole batch: shards add up to the average.
+
+    With ``beta`` each term is weighted by its std to the power 2 beta, as a constant (beta-NLL, Seitzer et al., 2022).
+    Pushes that can be predicted exactly, such as misses, then do not drown the others.
     """
     scaled = (target - mean) * torch.exp(-log_std)
     per_output = 0.5 * scaled * scaled + log_std + 0.5 * math.log(2.0 * math.pi)
+    if beta > 0.0:
+        per_output = per_output * torch.exp(2.0 * beta * log_std.detach())
     pushes = valid.sum() if pushes is None else pushes
     return (per_output * valid[..., None]).sum() / (pushes * target.shape[-1])
 

@@ -13,6 +13,8 @@ from service.errors import DataError
 from service.files import read_text
 from service.model.reference import is_name
 from service.model.tensors import ContextKind
+from training.networks.angles import PushForm
+from training.networks.encoders import CHANNELS
 from training.networks.methods import METHODS, Method
 from training.omnipush.published import Split, all_objects, different_objects, different_surfaces, different_weights
 
@@ -22,8 +24,6 @@ SET_UPS: Final[dict[str, Callable[[], Split]]] = {
     "different-surfaces": different_surfaces,
     **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
 }
-CIRCULAR: Final = "circular"
-ANGLES: Final = ("raw", CIRCULAR)
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 
@@ -44,10 +44,13 @@ class Recipe:
     precision: str  # of the wide matrix products: float32, bfloat16, or auto (bfloat16 where it is native)
     seed: int
     # Beyond the paper. Every default is the paper's training, and a record leaves out fields that have their default.
-    angle: str = "raw"  # of the push, as input of the first layer: raw (radians) or circular (cosine and sine)
+    angle: str = "raw"  # of the push, as input of the first layer: see PushForm
     symmetries: bool = False  # turn and mirror each object of a batch at random
     no_contact: float = 0.0  # share of pushes that are replaced by pushes without contact
     least_std: float = 0.0  # added to every predicted std, normalised: the noise that remains with a perfect model
+    beta: float = 0.0  # of beta-NLL: the likelihood of a push is weighted by its std to the power 2 beta
+    camera_views: int = 0  # of each object of a visual context; an epoch shows each object by one view or its drawing
+    encoder_channels: int = CHANNELS  # of the convolutions that encode a view
     cooling_epochs: int = 0  # last epochs, over which the learning rate falls to 0 along half a cosine
 
     def network(self) -> Method:
@@ -141,12 +144,18 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
 
 def _check_beyond_paper(recipe: Recipe, where: str) -> None:
     """Check the fields that have defaults."""
-    if recipe.angle not in ANGLES:
-        raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(ANGLES)}")
+    if recipe.angle not in list(PushForm):
+        raise DataError(f"{where}: angle is {recipe.angle!r}; expected one of {', '.join(PushForm)}")
     if not 0.0 <= recipe.no_contact < 1.0:
         raise DataError(f"{where}: no_contact is {recipe.no_contact}; expected 0 or more, and less than 1")
     if not 0.0 <= recipe.least_std < math.inf:
         raise DataError(f"{where}: least_std is {recipe.least_std}; expected 0 or more")
+    if not 0.0 <= recipe.beta <= 1.0:
+        raise DataError(f"{where}: beta is {recipe.beta}; expected 0 to 1")
+    if recipe.encoder_channels < 1:
+        raise DataError(f"{where}: encoder_channels is {recipe.encoder_channels}; expected 1 or more")
+    if recipe.camera_views < 0 or (recipe.camera_views > 0 and recipe.context_kind is not ContextKind.VISUAL):
+        raise DataError(f"{where}: camera_views is {recipe.camera_views}; expected 0, or more with a visual context")
     if not 0 <= recipe.cooling_epochs <= recipe.epochs:
         raise DataError(f"{where}: cooling_epochs is {recipe.cooling_epochs}; expected 0 to all {recipe.epochs} epochs")
 

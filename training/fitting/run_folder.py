@@ -24,8 +24,9 @@ import service
 from service.errors import DataError
 from service.files import check_regular, read_text
 from service.storage.disk import replace_whole
-from training.fitting.recipe import CIRCULAR, Recipe, parse_recipe_record
+from training.fitting.recipe import Recipe, parse_recipe_record
 from training.fitting.samples import TrainingData
+from training.networks.angles import PushForm
 from training.networks.neural_process import NeuralProcess
 from training.networks.push_network import PUSH_SHAPES, PushNetwork, Shape
 
@@ -58,7 +59,7 @@ def build_network(recipe: Recipe, shape: Shape) -> Network:
     method = recipe.network()
     if method.neural_process:
         return NeuralProcess(shape.inputs, shape.outputs)
-    return PushNetwork(method, shape, recipe.angle == CIRCULAR, recipe.least_std)
+    return PushNetwork(method, shape, PushForm(recipe.angle), recipe.least_std, recipe.encoder_channels)
 
 
 def load_run(folder: Path) -> tuple[Recipe, Network, dict[str, Any]]:

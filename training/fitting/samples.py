@@ -1,7 +1,7 @@
 """Samples to fit and evaluate networks on: normalised tensors by object, with the record of their origin."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from service.model.tensors import ContextKind, FloatArray
 from training.networks.push_network import Shape
 from training.omnipush.published import Split, published_normalisation
 from training.omnipush.pushes import Pushes, read_folder
-from training.omnipush.views import read_views, views_beside
+from training.omnipush.views import camera_views_beside, read_camera_views, read_views, views_beside
 
 AnyArray = npt.NDArray[np.floating[Any]]
 
@@ -29,6 +29,7 @@ class Samples:
     valid: Tensor  # (objects, samples): 1 for a sample, 0 for padding
     context: Tensor  # (objects, *context)
     target_std: tuple[float, ...]  # the unit of each output (pushes: in metres, metres, radians)
+    views: Tensor | None = None  # (objects, views, *context): the context and camera views of the same object
 
     @classmethod
     def of(cls, pushes: Pushes, kind: ContextKind) -> "Samples":
@@ -40,7 +41,11 @@ class Samples:
         known = published_normalisation()
         inputs = (pushes.pushers - known.input_mean) / known.input_std
         targets = (pushes.outcomes - known.output_mean) / known.output_std
-        return cls.of_arrays(inputs, targets, pushes.valid, contexts(pushes, kind), tuple(known.output_std.tolist()))
+        found = cls.of_arrays(inputs, targets, pushes.valid, contexts(pushes, kind), tuple(known.output_std.tolist()))
+        if kind is not ContextKind.VISUAL or pushes.camera_views is None:
+            return found
+        cameras = torch.from_numpy(pushes.camera_views.astype(np.float32) / np.float32(255.0))
+        return replace(found, views=torch.cat([found.context[:, None], cameras], dim=1))
 
     @classmethod
     def of_arrays(
@@ -54,6 +59,16 @@ class Samples:
     def shape(self) -> Shape:
         """Return the shape of a network for these samples."""
         return Shape(tuple(self.context.shape[1:]), self.inputs.shape[-1], self.targets.shape[-1])
+
+    def seen(self, views: Tensor) -> "Samples":
+        """Return the samples with one of the views of each object, by its number (objects,), as its context.
+
+        Raises:
+            DataError: there are no other views.
+        """
+        if self.views is None:
+            raise DataError("the objects were read without camera views; read them with camera views")
+        return replace(self, context=self.views[torch.arange(len(views)), views])
 
     def select(self, objects: Tensor) -> "Samples":
         """Return the samples of some objects, in this order."""
@@ -76,7 +91,8 @@ class Samples:
 
     def _map(self, change: Callable[[Tensor], Tensor]) -> "Samples":
         inputs, targets, valid, context = map(change, (self.inputs, self.targets, self.valid, self.context))
-        return Samples(inputs, targets, valid, context, self.target_std)
+        views = None if self.views is None else change(self.views)
+        return Samples(inputs, targets, valid, context, self.target_std, views)
 
 
 def contexts(pushes: Pushes, kind: ContextKind) -> FloatArray:
@@ -117,19 +133,25 @@ class TrainingData:
         return cls(Samples.of(train, kind), Samples.of(test, kind), origin)
 
 
-def read_training_data(split: Split, kind: ContextKind, folder: Path, views: Path | None = None) -> TrainingData:
+def read_training_data(
+    split: Split, kind: ContextKind, folder: Path, views: Path | None = None, camera_views: int = 0
+) -> TrainingData:
     """Read a surface's folder for a split. If the split tests on another surface, its folder lies beside this one.
 
     Raises:
         DataError: files or objects are missing or damaged.
     """
-    pushes = read_pushes(folder, kind, views)
-    other = None if split.test_surface is None else read_pushes(folder.parent / split.test_surface, kind, views)
+    pushes = read_pushes(folder, kind, views, camera_views)
+    if split.test_surface is None:
+        return TrainingData.of(split, kind, pushes)
+    other = read_pushes(folder.parent / split.test_surface, kind, views, camera_views)
     return TrainingData.of(split, kind, pushes, other)
 
 
-def read_pushes(folder: Path, kind: ContextKind, views: Path | None = None) -> Pushes:
+def read_pushes(folder: Path, kind: ContextKind, views: Path | None = None, camera_views: int = 0) -> Pushes:
     """Read the pushes of a folder, and for visual contexts the views of their objects (see ``views_beside``).
+
+    ``camera_views`` of each object are read from the folder beside that of the views.
 
     Raises:
         DataError: files are missing or damaged.
@@ -137,4 +159,8 @@ def read_pushes(folder: Path, kind: ContextKind, views: Path | None = None) -> P
     pushes = read_folder(folder)
     if kind is not ContextKind.VISUAL:
         return pushes
-    return pushes.with_views(read_views(views or views_beside(folder), pushes.descriptors))
+    drawings = views or views_beside(folder)
+    pushes = pushes.with_views(read_views(drawings, pushes.descriptors))
+    if camera_views == 0:
+        return pushes
+    return pushes.with_camera_views(read_camera_views(camera_views_beside(drawings), pushes.descriptors, camera_views))

@@ -75,7 +75,7 @@ def set_gradients(
         """Run a shard forward and backward through the layers that take every push."""
         given = [] if conditioning is None else [conditioning.detach()[objects].requires_grad_()]
         mean, log_std = network.conditioned(batch.inputs[objects], given[0] if given else None, dtype)
-        likelihood = gaussian_nll(mean, log_std, batch.targets[objects], batch.valid[objects], samples)
+        likelihood = gaussian_nll(mean, log_std, batch.targets[objects], batch.valid[objects], samples, recipe.beta)
         gradients = torch.autograd.grad(likelihood, [*layers, *given])
         return ShardGradients(likelihood.detach(), gradients[: len(layers)], gradients[len(layers) :])
 

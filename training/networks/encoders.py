@@ -11,15 +11,15 @@ from torch import Tensor, nn
 from service.pushing.contexts import VISUAL_SIZE
 from training.networks.methods import ContextDistance
 
-CHANNELS: Final = 4
+CHANNELS: Final = 4  # the paper's
 KERNEL_HIDDEN: Final = 10
 KERNEL_VECTOR: Final = 5  # phi of a context vector
 KERNEL_VISUAL: Final = 10  # phi of a visual context
 
 
-def context_encoder(context_shape: tuple[int, ...], width: int) -> nn.Module:
+def context_encoder(context_shape: tuple[int, ...], width: int, channels: int = CHANNELS) -> nn.Module:
     """Return the encoder of contexts (objects, *context_shape) to (objects, width): a dense layer or visual encoder."""
-    return nn.Linear(context_shape[0], width) if len(context_shape) == 1 else VisualEncoder(width)
+    return nn.Linear(context_shape[0], width) if len(context_shape) == 1 else VisualEncoder(width, channels)
 
 
 class VisualEncoder(nn.Module):
@@ -30,10 +30,10 @@ class VisualEncoder(nn.Module):
     redundant.
     """
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, width: int, channels: int = CHANNELS) -> None:
         super().__init__()
-        self.convolutions = nn.Sequential(*_convolution(1), *_convolution(CHANNELS))
-        self.dense = nn.Linear(CHANNELS * (VISUAL_SIZE // 4) ** 2, width)
+        self.convolutions = nn.Sequential(*_convolution(1, channels), *_convolution(channels, channels))
+        self.dense = nn.Linear(channels * (VISUAL_SIZE // 4) ** 2, width)
 
     def forward(self, context: Tensor) -> Tensor:
         """Encode views in 0..1 as (objects, width)."""
@@ -41,8 +41,8 @@ class VisualEncoder(nn.Module):
         return encoded
 
 
-def _convolution(channels: int) -> tuple[nn.Module, ...]:
-    return nn.Conv2d(channels, CHANNELS, 3, padding=1), nn.BatchNorm2d(CHANNELS), nn.ReLU(), nn.MaxPool2d(2)
+def _convolution(entering: int, channels: int) -> tuple[nn.Module, ...]:
+    return nn.Conv2d(entering, channels, 3, padding=1), nn.BatchNorm2d(channels), nn.ReLU(), nn.MaxPool2d(2)
 
 
 class EuclideanDistance(nn.Module):

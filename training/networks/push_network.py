@@ -14,8 +14,8 @@ from torch.nn import functional
 
 from service.model.tensors import ContextKind
 from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
-from training.networks.angles import circular
-from training.networks.encoders import context_distance, context_encoder
+from training.networks.angles import FEATURES_ADDED, PushForm, features, from_push_frame
+from training.networks.encoders import CHANNELS, context_distance, context_encoder
 from training.networks.methods import ContextUse, Method
 from training.networks.mixed_precision import mixed_dense, mixed_first, mixed_last
 
@@ -65,13 +65,20 @@ class PushNetwork(nn.Module):
     regulariser. Its parameters, if any, are trained with the network, but predictions do not depend on it.
     """
 
-    def __init__(self, method: Method, shape: Shape, circular_angle: bool = False, least_std: float = 0.0) -> None:
-        """Create fresh layers. ``circular_angle`` and ``least_std`` (normalised) aren't the paper's, see ``Recipe``."""
+    def __init__(
+        self,
+        method: Method,
+        shape: Shape,
+        form: PushForm = PushForm.RAW,
+        least_std: float = 0.0,
+        encoder_channels: int = CHANNELS,
+    ) -> None:
+        """Create fresh layers. The paper's network has the defaults. ``least_std`` is normalised, see ``Recipe``."""
         super().__init__()
         self.use = method.context_use
-        self.circular_angle = circular_angle
+        self.form = form
         self.least_std = least_std
-        self.inputs = shape.inputs + circular_angle
+        self.inputs = shape.inputs + FEATURES_ADDED[form]
         # One layer takes [x, c], as the paper concatenates. Only its columns for x run once per push.
         joined = self.use is ContextUse.CONCATENATED and len(shape.context) == 1
         self.first = nn.Linear(self.inputs + (shape.context[0] if joined else 0), WIDTH)
@@ -79,7 +86,7 @@ class PushNetwork(nn.Module):
         self.third = nn.Linear(WIDTH, WIDTH)
         self.last = nn.Linear(WIDTH, 2 * shape.outputs)
         encoded = self.use is not ContextUse.NONE and not joined
-        self.context_encoder = context_encoder(shape.context, WIDTH) if encoded else None
+        self.context_encoder = context_encoder(shape.context, WIDTH, encoder_channels) if encoded else None
         self.distance = context_distance(method.distance, shape.context)
 
     def conditioning(self, context: Tensor) -> Tensor | None:
@@ -93,14 +100,14 @@ class PushNetwork(nn.Module):
 
     def gaussian(self, pusher: Tensor, conditioning: Tensor | None) -> tuple[Tensor, Tensor]:
         """Predict mean and log std (n, 3) of pusher poses (n, 3), each with its own row of conditioning (n, 256)."""
-        pusher = circular(pusher) if self.circular_angle else pusher
-        hidden = functional.linear(pusher, self.first.weight[:, : self.inputs], self.first.bias)
+        entering = features(pusher, self.form)
+        hidden = functional.linear(entering, self.first.weight[:, : self.inputs], self.first.bias)
         if conditioning is not None and self.use is ContextUse.CONCATENATED:
             hidden = hidden + conditioning
         hidden = torch.relu(hidden)
         if conditioning is not None and self.use is ContextUse.MASKED:
             hidden = hidden * conditioning
-        return self._upper_layers(hidden)
+        return self._upper_layers(hidden, pusher)
 
     def push_parameters(self) -> list[nn.Parameter]:
         """Return the parameters of the layers that take every push. The other layers take contexts."""
@@ -118,7 +125,7 @@ class PushNetwork(nn.Module):
 
         ``dtype`` is the type of the products, see ``mixed_precision``. Inputs and outputs are float32.
         """
-        pusher = circular(pusher) if self.circular_angle else pusher
+        entering = features(pusher, self.form)
         weight: Tensor = self.first.weight[:, : self.inputs].T
         bias: Tensor = self.first.bias
         if conditioning is None:
@@ -130,21 +137,22 @@ class PushNetwork(nn.Module):
         else:
             weight, bias = weight.expand(len(pusher), -1, -1), bias + conditioning
         if dtype == torch.float32:
-            return self._upper_layers(torch.relu_(torch.baddbmm(bias[:, None, :], pusher, weight)))
-        hidden = mixed_first(pusher, weight, bias[:, None, :], dtype).flatten(0, -2)
+            return self._upper_layers(torch.relu_(torch.baddbmm(bias[:, None, :], entering, weight)), pusher)
+        hidden = mixed_first(entering, weight, bias[:, None, :], dtype).flatten(0, -2)
         for layer in (self.second, self.third):
             hidden = mixed_dense(hidden, layer.weight, layer.bias)
         out = mixed_last(hidden, self.last.weight, self.last.bias)
-        return self._mean_and_log_std(out.view(*pusher.shape[:-1], -1))
+        return self._mean_and_log_std(out.view(*pusher.shape[:-1], -1), pusher)
 
-    def _upper_layers(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
+    def _upper_layers(self, hidden: Tensor, pusher: Tensor) -> tuple[Tensor, Tensor]:
         for layer in (self.second, self.third):
             hidden = torch.relu(layer(hidden))
-        return self._mean_and_log_std(self.last(hidden))
+        return self._mean_and_log_std(self.last(hidden), pusher)
 
-    def _mean_and_log_std(self, out: Tensor) -> tuple[Tensor, Tensor]:
+    def _mean_and_log_std(self, out: Tensor, pusher: Tensor) -> tuple[Tensor, Tensor]:
         """Split the output of the last layer into mean and log std."""
         mean, log_std = out.chunk(2, dim=-1)
+        mean = from_push_frame(mean, pusher) if self.form is PushForm.PUSH_FRAME else mean
         log_std = log_std if self.training else bounded(log_std)
         if self.least_std > 0.0:  # log(exp(s) + least), in a form that does not overflow
             least = math.log(self.least_std)

@@ -52,6 +52,7 @@ class Pushes:
     source: str
     digest: str  # sha256 of the names and bytes of every file read
     views: npt.NDArray[np.uint8] | None = None  # (objects, 1, 32, 32), the visual context of each object, if read
+    camera_views: npt.NDArray[np.uint8] | None = None  # (objects, views, 1, 32, 32), contexts from camera views
 
     @property
     def indicators(self) -> FloatArray:
@@ -87,12 +88,18 @@ class Pushes:
             outcomes=self.outcomes[rows],
             valid=self.valid[rows],
             views=None if self.views is None else self.views[rows],
+            camera_views=None if self.camera_views is None else self.camera_views[rows],
         )
 
     def with_views(self, views: npt.NDArray[np.uint8]) -> "Pushes":
         """Return the pushes with the visual context of each object, (objects, 1, 32, 32). The digest covers both."""
         digest = hashlib.sha256(self.digest.encode() + views.tobytes()).hexdigest()
         return replace(self, views=views, digest=digest)
+
+    def with_camera_views(self, views: npt.NDArray[np.uint8]) -> "Pushes":
+        """Return the pushes with camera views of each object, (objects, views, 1, 32, 32). The digest covers them."""
+        digest = hashlib.sha256(self.digest.encode() + views.tobytes()).hexdigest()
+        return replace(self, camera_views=views, digest=digest)
 
 
 def read_folder(folder: Path) -> Pushes:

@@ -19,6 +19,7 @@ from training.omnipush.npy_files import NpyKind, parse_npy, read_content
 
 VIEWS_FOLDER: Final = "top-down_view"
 VIEW_PREFIX: Final = "shape_"
+CAMERA_VIEWS_PREFIX: Final = "cameras_"
 VIEW_PIXELS: Final = 481  # odd: the object's centre is the middle of pixel 240
 UNKNOWN_CONVENTION: Final = (
     "Top-down views of undeclared origin (481 x 481, as Omnipush publishes them): field of view, orientation and "
@@ -26,6 +27,9 @@ UNKNOWN_CONVENTION: Final = (
 )
 UNKNOWN_SOURCE: Final = "top-down views of undeclared origin"
 View = npt.NDArray[np.uint8]
+_CAMERA_VIEWS: Final = NpyKind(
+    1024 * VISUAL_SIZE**2 + 4096, "1,024 views of 32 x 32 bytes", "draw them again with cazsl-train images --views"
+)
 _VIEW: Final = NpyKind(VIEW_PIXELS**2 * 8 + 4096, "481 x 481 float64", "fetch or draw it again")
 
 
@@ -53,6 +57,37 @@ def read_views(folder: Path, descriptors: Sequence[str]) -> npt.NDArray[np.uint8
     paths = [_find(folder, descriptor) for descriptor in descriptors]
     contexts = [visual_context(read_view(path)).levels for path in paths]
     return np.frombuffer(b"".join(contexts), dtype=np.uint8).reshape(-1, 1, VISUAL_SIZE, VISUAL_SIZE)
+
+
+def camera_views_beside(views: Path) -> Path:
+    """Return the folder of camera views that belongs to a folder of drawings: the one beside it."""
+    return views.parent / f"{views.name}-cameras"
+
+
+def camera_views_file_name(descriptor: str) -> str:
+    """Return the name of the file with an object's camera views, uint8 [views, 32, 32]."""
+    return f"{CAMERA_VIEWS_PREFIX}{descriptor}.npy"
+
+
+def read_camera_views(folder: Path, descriptors: Sequence[str], count: int) -> View:
+    """Return the first camera views of each object as visual contexts, uint8 (objects, count, 1, 32, 32).
+
+    Raises:
+        DataError: A file is missing, broken, or holds fewer views. The message names it.
+    """
+    return np.stack([_read_camera_views(folder / camera_views_file_name(name), count) for name in descriptors])
+
+
+def _read_camera_views(path: Path, count: int) -> View:
+    if not path.is_file():
+        raise DataError(f"{path} is missing; draw it with: cazsl-train images --camera --views {count}")
+    views = parse_npy(path, read_content(path, _CAMERA_VIEWS), _CAMERA_VIEWS)
+    if views.dtype != np.uint8 or views.shape[1:] != (VISUAL_SIZE, VISUAL_SIZE) or len(views) < count:
+        raise DataError(
+            f"{path} has {views.dtype} of shape {views.shape}; expected uint8 of ({count} or more, {VISUAL_SIZE}, "
+            f"{VISUAL_SIZE}); remove it and draw it again with: cazsl-train images --camera --views {count}"
+        )
+    return np.asarray(views[:count, None], dtype=np.uint8)
 
 
 def read_view(path: Path) -> GreyImage:

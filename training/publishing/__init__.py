@@ -1,6 +1,6 @@
 """Publishing of a finished run as a version of a model in the registry.
 
-``onnx_export`` turns the network into an ONNX graph, ``parity`` compares the two on ``parity_inputs``, ``card`` writes
-the model card, and ``publish`` puts the version into the registry. Calls point downward: of the trainer, this package
-imports ``fitting``, ``networks`` and ``omnipush``.
+``onnx_export`` turns the network into an ONNX graph, ``parity`` compares the two on ``parity_inputs``, ``rivals``
+measures the versions before on the same data, ``card`` writes the model card, and ``publish`` puts the version into the
+registry. Calls point downward: of the trainer, this package imports ``fitting``, ``networks`` and ``omnipush``.
 """

@@ -16,8 +16,9 @@ from torch import Tensor, nn
 from service.errors import PublishError
 from service.model.tensors import ContextKind
 from service.model.tensors import Tensor as TensorRecord
-from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from training.networks.angles import wrapped
+from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PushNetwork
 from training.omnipush.published import published_normalisation
 from training.publishing.parity_inputs import graph_inputs, plausible_batch
@@ -27,11 +28,16 @@ _OWN: Final = "_of_the_graph"  # no operator has such a name
 
 
 class ServedNetwork(nn.Module):
-    """Network with SI units in and out, as the ONNX interface of push models has it."""
+    """Network with SI units in and out, as the ONNX interface of push models has it.
 
-    def __init__(self, network: PushNetwork) -> None:
+    Its deviations are the network's times ``scale``. With a ``domain`` it also gives the unfamiliarity of each push.
+    """
+
+    def __init__(self, network: PushNetwork, domain: OmnipushDomain | None = None, scale: float = 1.0) -> None:
         super().__init__()
         self.network = network
+        self.domain = domain
+        self.scale = scale
         known = published_normalisation()
         self.input_mean, self.input_std, self.output_mean, self.output_std = (
             nn.Buffer(torch.tensor(value, dtype=torch.float32))
@@ -40,10 +46,15 @@ class ServedNetwork(nn.Module):
 
     def forward(
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Predict mean and std (n, 3) of pushes (n, 3) of the objects ``context[context_index]``."""
+    ) -> tuple[Tensor, ...]:
+        """Predict mean and std (n, 3) of pushes (n, 3) of the objects ``context[context_index]``.
+
+        With a domain, the third output is the unfamiliarity (n, 2).
+        """
         mean, std = self.before_wrapping(pusher, context, context_index)
-        return wrap_last(mean), std
+        if self.domain is None:
+            return wrap_last(mean), std
+        return wrap_last(mean), std, self.domain(wrap_last(pusher), context, context_index)
 
     def before_wrapping(
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
@@ -54,7 +65,7 @@ class ServedNetwork(nn.Module):
             conditioning = self.network.conditioning(context)  # (g, 256): once per object
             conditioning = None if conditioning is None else conditioning[context_index]  # (n, 256)
         mean, log_std = self.network.gaussian((wrap_last(pusher) - self.input_mean) / self.input_std, conditioning)
-        return mean * self.output_std + self.output_mean, torch.exp(log_std) * self.output_std
+        return mean * self.output_std + self.output_mean, torch.exp(log_std) * (self.output_std * self.scale)
 
 
 def wrap_last(pose: Tensor) -> Tensor:
@@ -63,13 +74,17 @@ def wrap_last(pose: Tensor) -> Tensor:
     return torch.cat([position, wrapped(angle)], dim=-1)
 
 
-def export_onnx(network: PushNetwork, kind: ContextKind) -> bytes:
+def export_onnx(
+    network: PushNetwork, kind: ContextKind, domain: OmnipushDomain | None = None, scale: float = 1.0
+) -> bytes:
     """Export a network as an ONNX graph in one file, without a trace of the machine that made it.
+
+    ``domain`` and ``scale`` are those of ``ServedNetwork``.
 
     Raises:
         PublishError: torch gave no ONNX program.
     """
-    return export_module(ServedNetwork(network), kind, OUTPUTS)
+    return export_module(ServedNetwork(network, domain, scale), kind, graph_outputs(domain))
 
 
 def export_module(served: nn.Module, kind: ContextKind, outputs: Sequence[TensorRecord]) -> bytes:
@@ -103,6 +118,11 @@ def export_module(served: nn.Module, kind: ContextKind, outputs: Sequence[Tensor
     _name_outputs(model.graph, [tensor.name for tensor in outputs])
     onnx.checker.check_model(model, full_check=True)
     return bytes(model.SerializeToString(deterministic=True))
+
+
+def graph_outputs(domain: OmnipushDomain | None) -> tuple[TensorRecord, ...]:
+    """Return the outputs of a graph with this domain, or without one."""
+    return OUTPUTS if domain is None else OUTPUTS_WITH_UNFAMILIARITY
 
 
 def _name_outputs(graph: onnx.GraphProto, names: Sequence[str]) -> None:

@@ -9,25 +9,36 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Final
 
+import torch
+
 import service
 from service.errors import DataError, PublishError
-from service.model.manifest import Calibration, DataRecord, Manifest, Metrics, NormalisationRecord, SelfCheck
+from service.model.manifest import (
+    DataRecord,
+    Manifest,
+    NormalisationRecord,
+    SelfCheck,
+    Validity,
+)
 from service.model.predictor import OnnxPredictor
 from service.model.self_check import flattened
 from service.model.tensors import ContextKind
-from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+from service.pushing.onnx_interface import expected_inputs
+from service.pushing.poses import PUSH_LENGTH_M
 from service.registry.registry import Registry
-from training.fitting.evaluation import COVERAGE_LEVELS, Evaluation, evaluate
+from training.fitting.bands import calibrated
 from training.fitting.recipe import Recipe
 from training.fitting.samples import Samples
 from training.networks.neural_process import NeuralProcess
+from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PushNetwork
 from training.omnipush.published import Split, published_normalisation
 from training.omnipush.pushes import Pushes
 from training.publishing.card import render_card
-from training.publishing.onnx_export import export_onnx
+from training.publishing.onnx_export import export_onnx, graph_outputs
 from training.publishing.parity import check_parity
 from training.publishing.parity_inputs import plausible_batch
+from training.publishing.rivals import calibration_of, measured_name, metrics_of, rivals_of
 
 SELF_CHECK_TOLERANCE: Final = 1e-4  # a tenth of a millimetre, across processors and versions of the runtime
 
@@ -58,18 +69,25 @@ def publish(
     kind, split = recipe.context_kind, recipe.split()
     measured_recipe, measured_network = measured or (recipe, network)
     set_up = _measured_split(recipe, measured_recipe)
-    if not isinstance(network, PushNetwork) or set_up.test_surface is not None:
+    if (
+        not isinstance(network, PushNetwork)
+        or not isinstance(measured_network, PushNetwork)
+        or set_up.test_surface is not None
+    ):
         raise DataError(
             f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
             "surface it was trained on; publish another method, or a run of another set-up"
         )
     train, held_out = pushes.select(split.train), pushes.select(set_up.test)
     samples = Samples.of(held_out, kind)
-    found = evaluate(measured_network, samples)
-    if not math.isfinite(found.nll):
+    found = calibrated(measured_network, samples)
+    figures = {measured_name(set_up, views): each for views, each in found.predictions.items()}
+    metrics = {name: metrics_of(each) for name, each in figures.items()}
+    if not all(math.isfinite(each.nll) for each in metrics.values()):
         raise PublishError("the network's held-out figures are not finite; no version was published")
-    model = export_onnx(network, kind)
-    parity = check_parity(network, model, kind)
+    domain = domain_of(train, kind)
+    model = export_onnx(network, kind, domain, found.factor)
+    parity = check_parity(network, model, kind, domain, found.factor)
     draft = Manifest(
         name=recipe.name,
         version=1,
@@ -77,7 +95,7 @@ def publish(
         method=recipe.method,
         context_kind=kind,
         inputs=expected_inputs(kind),
-        outputs=OUTPUTS,
+        outputs=graph_outputs(domain),
         normalisation=NormalisationRecord(
             **{name: list(value) for name, value in vars(published_normalisation()).items()}
         ),
@@ -85,12 +103,34 @@ def publish(
         recipe=recipe.record(),
         data=_data_record(pushes, split, train, held_out),
         code_version=service.__version__,
-        metrics={set_up.name: Metrics(found.rmse, found.std, found.distance_mm, found.nll)},
-        calibration={set_up.name: _calibration(found)},
-        self_check=_self_check(model, kind, samples),
+        metrics=metrics,
+        calibration={name: calibration_of(each, found.factor) for name, each in figures.items()},
+        self_check=_self_check(model, domain, samples),
         files={},
+        validity=_validity(domain),
+        rivals=rivals_of(registry, recipe.name, set_up, samples),
     )
-    return registry.publish(draft, model, render_card(draft, found, train, parity))
+    return registry.publish(draft, model, render_card(draft, figures, parity))
+
+
+def domain_of(train: Pushes, kind: ContextKind) -> OmnipushDomain:
+    """Return the domain of training pushes and of the contexts of their objects."""
+    samples = Samples.of(train, kind)
+    contexts = samples.context[:, None] if samples.views is None else samples.views
+    if kind is ContextKind.INDICATOR:
+        contexts = samples.context
+    pushers = torch.from_numpy(train.pushers[train.valid > 0])
+    return OmnipushDomain(kind).fit(pushers, contexts).eval()
+
+
+def _validity(domain: OmnipushDomain) -> Validity:
+    ranges = {name: (low, high) for name, (low, high) in domain.ranges().items()}
+    _, furthest_m = ranges["start_distance_m"]
+    return Validity(
+        {**ranges, "length_m": (PUSH_LENGTH_M, PUSH_LENGTH_M)},
+        f"pushes of 50 mm that start between touch and {1000 * furthest_m:.0f} mm from the centre of an object of "
+        "Omnipush, in any direction, misses included; objects have at most two weights",
+    )
 
 
 def _data_record(pushes: Pushes, split: Split, train: Pushes, held_out: Pushes) -> DataRecord:
@@ -122,17 +162,13 @@ def _measured_split(recipe: Recipe, measured: Recipe) -> Split:
     return set_up
 
 
-def _calibration(found: Evaluation) -> Calibration:
-    coverage_50, coverage_90, coverage_95 = (found.coverage[level] for level in COVERAGE_LEVELS)
-    return Calibration("none", coverage_50, coverage_90, coverage_95, list(found.sharpness))
-
-
-def _self_check(model: bytes, kind: ContextKind, samples: Samples) -> SelfCheck:
+def _self_check(model: bytes, domain: OmnipushDomain, samples: Samples) -> SelfCheck:
     """Return a small batch with the graph's own outputs, which every load compares with. Gates turn its views."""
+    kind = domain.kind
     batch = plausible_batch(kind, pushes=4, objects=2, seed=4)
     if kind is ContextKind.VISUAL:  # of real objects: a network learns the symmetry of those
         batch = replace(batch, contexts=(samples.context[:2].numpy(),))
-    mean, std, _ = OnnxPredictor(model, expected_inputs(kind), OUTPUTS).predict(
+    mean, std, _ = OnnxPredictor(model, expected_inputs(kind), graph_outputs(domain)).predict(
         batch.pusher, batch.contexts, batch.context_index
     )
     return SelfCheck(

@@ -14,18 +14,20 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from service.pushing.contexts import ObjectContext
+from service.pushing.contexts import VISUAL_SIZE, ObjectContext
 from service.pushing.images import (
     BACKGROUND_LEVEL,
     BODY_LEVEL,
     FIELD_OF_VIEW_M,
     FULL_LEVEL_MASS_KG,
     IMAGE_CONVENTION,
+    GreyImage,
+    visual_context,
 )
 from service.pushing.sides import Polygon
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.npy_files import write_npy
-from training.omnipush.views import VIEW_PIXELS, View, view_file_name
+from training.omnipush.views import VIEW_PIXELS, View, camera_views_file_name, view_file_name
 from training.simulation.camera import camera_view
 from training.simulation.solids import WEIGHT_RADIUS_M, Weight, clearance_m, solid
 
@@ -56,8 +58,11 @@ def weight_level(mass_kg: float) -> float:
 
 def photograph(descriptor: str, seed: int) -> View:
     """Draw an object's view as a camera would see it. The image depends on object and seed alone."""
-    rng = np.random.default_rng([seed, *b"camera", *descriptor.encode()])
-    return camera_view(top_down_view(ObjectContext.from_descriptor(descriptor)), rng)
+    return camera_view(top_down_view(ObjectContext.from_descriptor(descriptor)), _generator(descriptor, seed))
+
+
+def _generator(descriptor: str, seed: int) -> np.random.Generator:
+    return np.random.default_rng([seed, *b"camera", *descriptor.encode()])
 
 
 def write_views(
@@ -76,6 +81,26 @@ def write_views(
     for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
         view = photograph(descriptor, seed) if camera else top_down_view(ObjectContext.from_descriptor(descriptor))
         write_npy(folder / view_file_name(descriptor), view)
+
+
+def write_camera_views(
+    folder: Path, descriptors: Sequence[str], count: int, seed: int = 0, quiet: bool = False
+) -> None:
+    """Draw camera views of every object that the folder does not hold yet, each reduced to a visual context.
+
+    The views of an object are its photographs with the seeds ``seed``, ``seed + 1`` and so on.
+
+    Raises:
+        DataError: The folder holds other data, or cannot be written.
+    """
+    declare_dataset(folder, {**_declaration(True, seed), "views": count})
+    missing = [name for name in descriptors if not (folder / camera_views_file_name(name)).is_file()]
+    for descriptor in tqdm(missing, desc="drawing", unit="object", disable=quiet):
+        view = top_down_view(ObjectContext.from_descriptor(descriptor))
+        seen = (camera_view(view, _generator(descriptor, seed + number)) for number in range(count))
+        levels = [visual_context(GreyImage.from_array(each, descriptor)).levels for each in seen]
+        contexts = np.frombuffer(b"".join(levels), dtype=np.uint8).reshape(count, VISUAL_SIZE, VISUAL_SIZE)
+        write_npy(folder / camera_views_file_name(descriptor), contexts)
 
 
 def _declaration(camera: bool, seed: int) -> dict[str, Any]:

@@ -110,7 +110,7 @@ def test_an_integer_is_a_number_where_a_fraction_is_expected() -> None:
         (_changed("validity", to={"ranges": {}}), "validity.note"),
         (_changed("validity", to={"ranges": {"length_m": [0.0]}, "note": "none"}), "validity.ranges.length_m"),
         (replace(whole(), format=2, validity=VALIDITY).render(), "format: 2 has no validity"),
-        (replace(whole(), format=1, calibration={"all": SCALED}).render(), "format: 1 has no validity, scale"),
+        (replace(whole(), format=1, calibration={"all": SCALED}).render(), "format: 1 has no validity, rivals, scale"),
         (_changed("sha256", to="0" * 64), "sha256"),
         (_changed("sha256", to=None), "sha256"),
         (_changed("recipe", "epochs", to=2), "sha256"),

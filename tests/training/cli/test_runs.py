@@ -63,7 +63,7 @@ def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, 
 
     result = cazsl_train("evaluate", indicator_run, "--data", data_folder)
 
-    title, names, numbers, following = result.stdout.splitlines()
+    title, names, numbers, factor, heading, *bands, following = result.stdout.splitlines()
     assert result.exit_code == 0
     assert title == "FCN + CM + L2Reg, 3 epochs, different-objects: 50 held-out objects of synthetic pushes of a test"
     assert " ".join(names.split()) == "RMSE STD Dist. (mm) NLL 50 % cov. 90 % cov. 95 % cov."
@@ -75,6 +75,10 @@ def test_evaluate_prints_the_figures_of_the_held_out_objects(data_folder: Path, 
     ]
     assert numbers.split()[4::2] == [f"{100 * share:.1f}" for share in figures.coverage.values()]
     assert len(names) == len(numbers)
+    assert "a factor from held-out objects" in factor
+    assert heading.split()[:2] == ["pushes", "RMSE"]
+    assert [line.split()[:2] for line in bands[:2]] == [["all", "pushes"], ["start", "75"]]
+    assert all(len(line) == len(heading) for line in bands)
     assert following == f"next: cazsl-train publish {indicator_run} --data {data_folder}"
 
 

@@ -4,6 +4,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.training.command_line import cazsl_train, sole_line
@@ -11,9 +12,9 @@ from tests.training.synthetic_omnipush import write_linked_views
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.published import different_surfaces, omnipush_descriptors
 from training.omnipush.pushes import read_folder
-from training.omnipush.views import VIEWS_FOLDER, view_file_name
+from training.omnipush.views import VIEWS_FOLDER, camera_views_file_name, view_file_name
 from training.simulation.dataset import Simulation
-from training.simulation.drawing import write_views
+from training.simulation.drawing import write_camera_views, write_views
 
 
 def test_simulate_continues_and_describes_the_dataset(data_folder: Path, tmp_path: Path) -> None:
@@ -131,6 +132,20 @@ def test_images_of_another_kind_are_not_mixed_into_a_folder(tmp_path: Path) -> N
     write_views(tmp_path, (), quiet=True)
 
     assert "dataset.json declares another dataset" in sole_line(cazsl_train("images", tmp_path, "--camera"))
+
+
+def test_images_draws_many_camera_views_for_training(tmp_path: Path) -> None:
+    """With --camera and --views the folder gets a file of camera views for each object that lacks one."""
+    write_camera_views(tmp_path, (), 2, quiet=True)
+    for descriptor in omnipush_descriptors()[1:]:
+        np.save(tmp_path / camera_views_file_name(descriptor), np.zeros((2, 32, 32), dtype=np.uint8))
+
+    result = cazsl_train("images", tmp_path, "--camera", "--views", "2")
+
+    assert result.exit_code == 0
+    assert np.load(tmp_path / camera_views_file_name(omnipush_descriptors()[0])).any()
+    assert "2 camera views of each of 250 objects" in result.output
+    assert "Add --camera" in cazsl_train("images", tmp_path, "--views", "2").stderr
 
 
 def test_images_can_draw_a_gallery_alone(tmp_path: Path) -> None:

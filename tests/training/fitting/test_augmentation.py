@@ -238,3 +238,15 @@ def test_empty_contexts_stay_empty(scenes: Pushes) -> None:
     assert found.context.shape == (len(OBJECTS), 0)
     assert not torch.equal(found.inputs, samples.inputs)
     assert replace(found, inputs=samples.inputs, targets=samples.targets).shape == samples.shape
+
+
+def test_an_object_is_seen_by_one_of_its_views_or_as_drawn(scenes: Pushes) -> None:
+    """A quarter of the objects appear as drawn, the others as one of their camera views, all as likely."""
+    cameras = np.stack([np.full((len(OBJECTS), 1, 32, 32), level, dtype=np.uint8) for level in (51, 102, 153)], axis=1)
+    samples = Samples.of(scenes.with_camera_views(cameras), ContextKind.VISUAL)
+    many = samples.select(torch.arange(1200) % len(OBJECTS))
+    found = augmented(many, symmetries=False, no_contact=0.0, rng=np.random.default_rng(4))
+
+    level = found.context[:, 0, 0, 0]
+    assert [float((level == share).float().mean()) for share in (0.2, 0.4, 0.6)] == pytest.approx([0.25] * 3, abs=0.04)
+    assert torch.equal(found.context[level == 0.0], many.context[level == 0.0])

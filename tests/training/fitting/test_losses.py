@@ -162,3 +162,17 @@ def test_a_gaussian_does_not_diverge_from_itself() -> None:
     mean, std = normals(3, 128, seed=1), normals(3, 128, seed=2).exp()
 
     assert gaussian_divergence(mean, std, mean, std).tolist() == pytest.approx([0.0] * 3, abs=1e-4)
+
+
+def test_beta_weights_each_term_by_its_std_without_a_gradient_of_its_own() -> None:
+    """With beta 0.5 each term is its likelihood times its std, and the weight counts as a constant."""
+    mean, log_std, target = (normals(2, 3, 3, seed=seed) for seed in (1, 2, 3))
+    log_std.requires_grad_()
+    weight = torch.exp(log_std.detach())
+    terms = 0.5 * ((target - mean) * torch.exp(-log_std)) ** 2 + log_std + 0.5 * math.log(2.0 * math.pi)
+
+    found = gaussian_nll(mean, log_std, target, ALL_VALID, beta=0.5)
+    (slope,) = torch.autograd.grad(found, [log_std])
+    (expected,) = torch.autograd.grad((weight * terms).mean(), [log_std])
+    assert torch.allclose(slope, expected, atol=1e-6)
+    assert found.item() == pytest.approx((weight * terms).mean().item(), rel=1e-5)

@@ -28,7 +28,7 @@ def test_four_recipes_ship() -> None:
 
 @pytest.mark.parametrize("name", SERVED)
 def test_a_served_recipe_augments_the_paper_s_method(name: str) -> None:
-    """A served recipe has its model's name, held-out objects, symmetries, misses and a circular angle."""
+    """A served recipe has its model's name, held-out objects, symmetries, misses and the frame of the push."""
     found = read_recipe(name)
 
     assert found.name == name
@@ -36,7 +36,7 @@ def test_a_served_recipe_augments_the_paper_s_method(name: str) -> None:
     assert found.context_kind == name.removeprefix("push-")
     assert found.network() is METHODS["FCN" if name == "push-none" else "FCN + CM"]
     assert found.split() == different_objects()
-    assert (found.angle, found.symmetries) == ("circular", True)
+    assert (found.angle, found.symmetries) == ("push-frame", True)
     assert 0.0 < found.no_contact < 0.5
 
 
@@ -68,6 +68,9 @@ BEYOND_PAPER = {
     "symmetries": True,
     "no_contact": 0.1,
     "least_std": 0.02,
+    "beta": 0.5,
+    "camera_views": 4,
+    "encoder_channels": 8,
     "cooling_epochs": 2,
 }
 
@@ -75,6 +78,7 @@ BEYOND_PAPER = {
 @pytest.mark.parametrize(("field", "value"), BEYOND_PAPER.items())
 def test_fields_beyond_the_paper_are_optional_and_recorded_if_used(recipe: Recipe, field: str, value: object) -> None:
     """A recipe without an optional field is the paper's, and its record omits the field."""
+    recipe = replace(recipe, context="visual") if field == "camera_views" else recipe
     assert field not in recipe.record()
     better = parse_recipe_record({**recipe.record(), field: value}, "here")
 
@@ -141,6 +145,9 @@ def test_a_mistyped_field_is_named(recipe: Recipe, field: str, value: object, ex
         pytest.param("angle", "square", id="an unknown angle"),
         pytest.param("no_contact", 1.0, id="no pushes with contact"),
         pytest.param("least_std", float("inf"), id="an infinite std"),
+        pytest.param("beta", 1.5, id="a beta beyond 1"),
+        pytest.param("camera_views", 3, id="camera views of an indicator"),
+        pytest.param("encoder_channels", 0, id="an encoder without channels"),
         pytest.param("cooling_epochs", 4, id="more cooling than epochs"),
         pytest.param("seed", -1, id="a negative seed, which no generator takes"),
         pytest.param("name", "Push Indicator", id="a name that no registry takes"),

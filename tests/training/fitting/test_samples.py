@@ -14,7 +14,7 @@ from training.fitting.samples import Samples, TrainingData, contexts, read_pushe
 from training.omnipush.declaration import declare_dataset
 from training.omnipush.published import Split, different_objects, published_normalisation
 from training.omnipush.pushes import Pushes, read_folder, write_object
-from training.simulation.drawing import write_views
+from training.simulation.drawing import write_camera_views, write_views
 
 
 @pytest.fixture(scope="module")
@@ -136,6 +136,28 @@ def test_views_are_read_from_the_folder_beside_or_a_given_one(tmp_path: Path) ->
     assert beside.views is not None
     assert beside.views.shape == (2, 1, 32, 32)
     assert len({plain.digest, beside.digest, named.digest}) == 3
+
+
+def test_camera_views_are_read_from_the_folder_beside_the_drawings(tmp_path: Path) -> None:
+    """Samples show the drawing first and then the camera views, which enter the digest too."""
+    names = ("1a1a1a1a", "1b1a1a3a")
+    write_pushes(tmp_path / "abs", names, 0.01)
+    write_views(tmp_path / "top-down_view", names, quiet=True)
+    write_camera_views(tmp_path / "top-down_view-cameras", names, 2, quiet=True)
+
+    found = read_pushes(tmp_path / "abs", ContextKind.VISUAL, camera_views=2)
+    samples = Samples.of(found.select(names[::-1]), ContextKind.VISUAL)
+
+    assert found.camera_views is not None
+    assert found.digest != read_pushes(tmp_path / "abs", ContextKind.VISUAL).digest
+    assert samples.views is not None
+    assert samples.views.shape == (2, 3, 1, 32, 32)
+    assert torch.equal(samples.seen(torch.tensor([0, 0])).context, samples.context)
+    seen = samples.seen(torch.tensor([2, 1])).context
+    assert torch.equal(seen[0], torch.from_numpy(found.camera_views[1, 1] / np.float32(255.0)))
+    assert torch.equal(samples.select(torch.tensor([1])).seen(torch.tensor([1])).context[0], seen[1])
+    with pytest.raises(DataError, match="without camera views"):
+        Samples.of(found, ContextKind.INDICATOR).seen(torch.tensor([0, 0]))
 
 
 def test_selecting_objects_selects_their_views(viewed_pushes: Pushes) -> None:

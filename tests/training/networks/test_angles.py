@@ -2,10 +2,11 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
-from training.networks.angles import circular, wrapped
+from training.networks.angles import circular, from_push_frame, in_push_frame, wrapped
 from training.omnipush.published import published_normalisation
 
 
@@ -33,3 +34,34 @@ def test_a_circular_angle_is_its_cosine_and_sine() -> None:
     assert torch.allclose(found[:, 2], torch.cos(angle_rad), atol=1e-6)
     assert torch.allclose(found[:, 3], torch.sin(angle_rad), atol=1e-6)
     assert torch.allclose(found[0], found[-1], atol=1e-6), "pi and -pi are one direction"
+
+
+def normalised_pushers(rows: list[tuple[float, float, float]]) -> torch.Tensor:
+    """Normalise pusher poses in m, m, rad."""
+    known = published_normalisation()
+    return torch.from_numpy((np.array(rows) - known.input_mean) / known.input_std).float()
+
+
+def test_the_push_frame_tells_how_a_push_passes_the_centre() -> None:
+    """The added features are the path to the point nearest to the centre, the signed aim, and the distance."""
+    found = in_push_frame(
+        normalised_pushers([(-0.08, 0.01, 0.0), (0.08, 0.0, 0.0), (0.0, 0.06, -0.5 * math.pi)])
+    ) * float(published_normalisation().input_std[0])
+
+    assert found[:, 4].tolist() == pytest.approx([0.08, -0.08, 0.06], abs=1e-6)
+    assert found[:, 5].tolist() == pytest.approx([-0.01, 0.0, 0.0], abs=1e-6)
+    assert found[:, 6].tolist() == pytest.approx([math.hypot(0.08, 0.01), 0.08, 0.06], abs=1e-6)
+
+
+def test_a_mean_of_zero_in_the_push_frame_is_rest() -> None:
+    """Zero in the frame of any push is an object that stays, and a motion along the push follows its direction."""
+    known = published_normalisation()
+    pusher = normalised_pushers([(-0.08, 0.01, 0.0), (0.0, 0.06, -0.5 * math.pi)])
+    rest, moved = (
+        from_push_frame(mean, pusher).double().numpy() * known.output_std + known.output_mean
+        for mean in (torch.zeros(2, 3), torch.tensor([[1.0, 0.0, 0.0]]).expand(2, 3))
+    )
+
+    unit_m = known.output_std[0]
+    assert rest == pytest.approx(np.zeros((2, 3)), abs=1e-7)
+    assert moved == pytest.approx(np.array([[unit_m, 0.0, 0.0], [0.0, -unit_m, 0.0]]), abs=1e-7)

@@ -8,7 +8,7 @@ from torch import Tensor
 from service.model.tensors import ContextKind
 from tests.training import reference_equations
 from tests.training.reference_equations import array_of
-from training.networks.angles import circular
+from training.networks.angles import PushForm, circular, from_push_frame, in_push_frame
 from training.networks.methods import METHODS
 from training.networks.push_network import LOG_STD_LIMIT, PUSH_SHAPES, PushNetwork, Shape
 
@@ -66,6 +66,26 @@ def test_the_networks_have_the_paper_s_size(method: str, kind: ContextKind, para
     network = PushNetwork(METHODS[method], PUSH_SHAPES[kind])
 
     assert sum(parameter.numel() for parameter in network.parameters()) == parameters
+
+
+@pytest.mark.parametrize("method", ["FCN", "FCN + CC", "FCN + CM"])
+def test_a_mean_in_the_push_frame_is_turned_into_the_object_frame(method: str) -> None:
+    """The push frame adds features of the push's line, and turns the mean of the paper's equations back."""
+    torch.manual_seed(5)
+    kind = ContextKind.NONE if method == "FCN" else INDICATOR
+    network = PushNetwork(METHODS[method], PUSH_SHAPES[kind], PushForm.PUSH_FRAME).eval()
+    pushers, contexts = random_pushers(6, 5), random_contexts(kind, 6)
+    with torch.no_grad():
+        mean, log_std, conditioning = network(pushers, contexts)
+        alone = network.gaussian(pushers[0], None if conditioning is None else conditioning[:1].expand(5, -1))
+
+    expected = reference_equations.network(
+        network.state_dict(), method, array_of(in_push_frame(pushers)), array_of(contexts)
+    )
+    turned = from_push_frame(torch.from_numpy(expected[0]).float(), pushers)
+    assert array_of(mean) == pytest.approx(array_of(turned), abs=1e-5)
+    assert array_of(log_std) == pytest.approx(expected[1], abs=1e-5)
+    assert torch.allclose(alone[0], mean[0], atol=1e-5)
 
 
 @pytest.mark.parametrize("fitted", [True, False], ids=["fitted", "in training"])
@@ -230,7 +250,7 @@ def test_a_circular_angle_enters_as_its_cosine_and_sine(method: str) -> None:
     """A circular angle gives the first layer one more input: the paper's equations on (x, y, cos, sin)."""
     torch.manual_seed(4)
     kind = ContextKind.NONE if method == "FCN" else INDICATOR
-    network = PushNetwork(METHODS[method], PUSH_SHAPES[kind], circular_angle=True).eval()
+    network = PushNetwork(METHODS[method], PUSH_SHAPES[kind], PushForm.CIRCULAR).eval()
     pushers, contexts = random_pushers(6, 5), random_contexts(kind, 6)
     with torch.no_grad():
         mean, log_std, conditioning = network(pushers, contexts)

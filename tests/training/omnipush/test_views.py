@@ -12,7 +12,14 @@ from service.errors import DataError
 from service.pushing.contexts import ObjectContext
 from service.pushing.images import IMAGE_CONVENTION, GreyImage, visual_context
 from tests.training.pickle_trap import PickleTrap
-from training.omnipush.views import UNKNOWN_CONVENTION, convention_of, read_views, source_of, views_beside
+from training.omnipush.views import (
+    UNKNOWN_CONVENTION,
+    convention_of,
+    read_camera_views,
+    read_views,
+    source_of,
+    views_beside,
+)
 from training.simulation.drawing import top_down_view, write_views
 
 OBJECTS = ("1a2a3a4a", "2C3b1a4a", "4a4c1a3b")
@@ -135,6 +142,23 @@ def test_a_missing_folder_of_views_is_named(tmp_path: Path) -> None:
     """The error about a missing folder names it and the command that would fill it."""
     with pytest.raises(DataError, match="nowhere is not a folder of top-down views; run 'cazsl-train images"):
         read_views(tmp_path / "nowhere", OBJECTS)
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        pytest.param(np.zeros((1, 32, 32), dtype=np.uint8), id="fewer views"),
+        pytest.param(np.zeros((4, 16, 16), dtype=np.uint8), id="smaller views"),
+        pytest.param(np.zeros((4, 32, 32)), id="fractions"),
+        pytest.param(None, id="missing"),
+    ],
+)
+def test_camera_views_that_cannot_be_used_are_named(tmp_path: Path, array: npt.NDArray[Any] | None) -> None:
+    """A file that is missing, or holds anything but enough 32 x 32 bytes, is named with the command that draws it."""
+    if array is not None:
+        np.save(tmp_path / "cameras_1a2a3a4a.npy", array)
+    with pytest.raises(DataError, match=r"cameras_1a2a3a4a\.npy .*cazsl-train images --camera --views 3"):
+        read_camera_views(tmp_path, ["1a2a3a4a"], 3)
 
 
 def test_views_lie_beside_the_folder_of_a_surface(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from service.model.predictor import OnnxPredictor
 from service.model.tensors import ContextKind, FloatArray
-from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from training.fitting.run_folder import load_run
 from training.networks.push_network import PushNetwork
 
@@ -27,5 +27,6 @@ def predict_graph(
     graph: bytes, kind: ContextKind, pusher: FloatArray, contexts: tuple[FloatArray, ...], index: Sequence[int]
 ) -> FloatArray:
     """Predict with onnxruntime: mean and std, (2, n, 3)."""
-    predictor = OnnxPredictor(graph, expected_inputs(kind), OUTPUTS)
+    outputs = OUTPUTS_WITH_UNFAMILIARITY if b"unfamiliarity" in graph else OUTPUTS
+    predictor = OnnxPredictor(graph, expected_inputs(kind), outputs)
     return np.stack(predictor.predict(pusher, contexts, np.array(index, dtype=np.int64))[:2])

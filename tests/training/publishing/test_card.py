@@ -19,4 +19,6 @@ def test_the_card_names_its_data_and_figures(
     assert f"Trained on **{pushes.source}**: 200 objects" in version.card
     assert pushes.digest in version.card
     assert f"| {metrics.rmse:.4f} | {metrics.std:.4f} | {metrics.distance_mm:.2f} | {metrics.nll:.3f} |" in version.card
-    assert "80 to 80 mm" in version.card
+    assert "| start 75 to 90 mm | " in version.card
+    assert "| start_distance_m | 0.08 | 0.08 |" in version.card
+    assert f"times {version.manifest.calibration['different-objects'].scale:.3f}" in version.card

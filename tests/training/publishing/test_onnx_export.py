@@ -15,6 +15,7 @@ from service.model.manifest import MODEL_FILE
 from service.model.tensors import ContextKind
 from service.registry.registry import Registry
 from tests.training.publishing.published_graphs import KINDS, SAME, predict_graph
+from training.networks.angles import PushForm
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 from training.omnipush.published import published_normalisation
@@ -193,12 +194,13 @@ def test_origins_are_stripped_from_every_part() -> None:
     assert model.SerializeToString(deterministic=True) == plain
 
 
+@pytest.mark.parametrize("form", [PushForm.CIRCULAR, PushForm.PUSH_FRAME])
 @pytest.mark.parametrize("kind", KINDS)
-def test_options_beyond_the_paper_are_part_of_the_graph(kind: ContextKind) -> None:
-    """Circular angle and least std are inside the graph. Poses have three numbers, and means do not jump at pi."""
+def test_options_beyond_the_paper_are_part_of_the_graph(kind: ContextKind, form: PushForm) -> None:
+    """Form and least std are inside the graph. Poses have three numbers, and means do not jump at pi."""
     torch.manual_seed(13)
     method = METHODS["FCN" if kind is ContextKind.NONE else "FCN + CM"]
-    network = PushNetwork(method, PUSH_SHAPES[kind], circular_angle=True, least_std=0.02)
+    network = PushNetwork(method, PUSH_SHAPES[kind], form, least_std=0.02)
     batch = plausible_batch(kind, 2, 32)
     for context in batch.contexts:
         network.conditioning(torch.from_numpy(context))

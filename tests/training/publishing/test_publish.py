@@ -16,8 +16,12 @@ from service.model.predictor import OnnxPredictor
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.domain import PUSHING
+from service.registry.loading import load_version
+from service.registry.promotion import judge
 from service.registry.registry import Registry
 from tests.training.publishing.published_graphs import KINDS, SAME, load_push_network
+from training.fitting.bands import calibrated
 from training.fitting.evaluation import evaluate
 from training.fitting.recipe import Recipe
 from training.fitting.run_folder import load_run
@@ -44,7 +48,7 @@ def test_a_published_version_is_verified_and_served(
     contexts = ContextBatch(kind, (), None, "body")
     if kind is not ContextKind.NONE:
         contexts = ContextBatch(kind, (context.tensor()[None],), np.zeros(1, dtype=np.int64), "body")
-    found_mean, found_std, _ = predict(model, np.array([[-0.075, 0.01, 0.1]], dtype=np.float32), contexts)
+    found_mean, found_std, unfamiliarity = predict(model, np.array([[-0.075, 0.01, 0.1]], dtype=np.float32), contexts)
 
     known = published_normalisation()
     pusher = (np.array([-0.075, 0.01, 0.1]) - known.input_mean) / known.input_std
@@ -53,10 +57,14 @@ def test_a_published_version_is_verified_and_served(
             torch.tensor(pusher, dtype=torch.float32)[None, None], torch.from_numpy(context.tensor())[None]
         )
     expected_mean = mean[0, 0].numpy() * known.output_std + known.output_mean
-    expected_std = np.exp(log_std[0, 0].numpy()) * known.output_std
+    scale = model.manifest.calibration["different-objects"].scale
+    assert scale is not None
+    expected_std = np.exp(log_std[0, 0].numpy()) * known.output_std * scale
     assert loaded.snapshot.problems == ()
     assert found_mean[0] == pytest.approx(expected_mean, abs=SAME)
     assert found_std[0] == pytest.approx(expected_std, abs=SAME)
+    assert unfamiliarity is not None
+    assert unfamiliarity.shape == (1, 2)
 
 
 def test_publishing_again_gives_the_next_version(registry: Registry) -> None:
@@ -75,7 +83,9 @@ def test_the_manifest_records_recipe_data_and_figures(
     recipe, network, _ = load_run(runs[kind])
     split, pushes = recipe.split(), data[kind]
     held_out = pushes.select(split.test)
-    figures = evaluate(network, Samples.of(held_out, kind))
+    assert isinstance(network, PushNetwork)
+    calibrated_figures = calibrated(network, Samples.of(held_out, kind))
+    figures = calibrated_figures.predictions[""].measures()
     found = registry.read(f"push-{kind}", 1).manifest
 
     assert (found.name, found.method, found.context_kind) == (f"push-{kind}", recipe.method, kind)
@@ -94,6 +104,12 @@ def test_the_manifest_records_recipe_data_and_figures(
         figures.coverage.values()
     )
     assert calibration.sharpness == pytest.approx(figures.sharpness)
+    assert calibration.scale == calibrated_figures.factor
+    assert [calibration.regions_50, calibration.regions_90, calibration.regions_95] == calibrated_figures.predictions[
+        ""
+    ].regions()
+    assert found.validity is not None
+    assert "start_distance_m" in found.validity.ranges
     assert found.normalisation.output_std == published_normalisation().output_std.tolist()
     assert found.image_convention == ("noise of a test" if kind is ContextKind.VISUAL else None)
 
@@ -161,14 +177,14 @@ def test_a_model_of_all_objects_has_figures_of_a_held_out_run(
     recipe: Recipe, pushes: Pushes, networks: dict[ContextKind, PushNetwork], tmp_path: Path
 ) -> None:
     """Manifest and card of a model of all objects name both its own set-up and that of the measured run."""
-    everything, judge = replace(recipe, set_up="all-objects"), networks[ContextKind.INDICATOR]
+    everything, judging = replace(recipe, set_up="all-objects"), networks[ContextKind.INDICATOR]
     network = fit(
         everything, TrainingData.of(everything.split(), ContextKind.INDICATOR, pushes), tmp_path / "run", True
     )
     assert isinstance(network, PushNetwork)
     store = Registry(tmp_path / "models")
-    found = publish(everything, network, pushes, store, measured=(recipe, judge))
-    figures = evaluate(judge, Samples.of(pushes.select(recipe.split().test), ContextKind.INDICATOR))
+    found = publish(everything, network, pushes, store, measured=(recipe, judging))
+    figures = evaluate(judging, Samples.of(pushes.select(recipe.split().test), ContextKind.INDICATOR))
     card = store.read(found.name, 1).card
 
     assert (found.data.split, found.data.train_objects, found.data.held_out_objects) == ("all-objects", 250, 50)
@@ -218,3 +234,26 @@ def test_a_neural_process_is_not_published(recipe: Recipe, pushes: Pushes, tmp_p
         publish(process, network, pushes, Registry(tmp_path / "models"))
 
     assert not (tmp_path / "models").exists()
+
+
+def test_the_champion_is_measured_on_the_data_of_the_new_version(
+    pushes: Pushes, none_run: Path, tmp_path: Path
+) -> None:
+    """The manifest of a new version has the champion's figures on the same held-out pushes, for the gates."""
+    recipe, network, _ = load_run(none_run)
+    store = Registry(tmp_path / "models")
+    first = publish(recipe, network, pushes, store)
+    store.point_alias(recipe.name, "champion", 1)
+    other = replace(pushes, digest="0" * 64)
+    second = publish(recipe, network, other, store)
+
+    assert first.rivals is None
+    assert second.rivals is not None
+    assert second.rivals["1"].metrics["different-objects"].rmse == pytest.approx(
+        first.metrics["different-objects"].rmse, abs=1e-5
+    )
+    verdicts = judge(
+        load_version(store, OnnxPredictor, recipe.name, 2), load_version(store, OnnxPredictor, recipe.name, 1), PUSHING
+    )
+    assert {"nll", "coverage"} <= {verdict.gate for verdict in verdicts}
+    assert "held-out" not in {verdict.gate for verdict in verdicts}

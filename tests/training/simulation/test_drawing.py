@@ -16,8 +16,8 @@ from service.pushing.image_quality import quality_flags
 from service.pushing.images import FIELD_OF_VIEW_M, GreyImage, decode, visual_context
 from service.pushing.sides import RECTANGLE_DEPTH_M
 from training.omnipush.published import omnipush_descriptors
-from training.omnipush.views import read_views
-from training.simulation.drawing import PIXEL_M, top_down_view, write_views
+from training.omnipush.views import camera_views_file_name, read_camera_views, read_views
+from training.simulation.drawing import PIXEL_M, photograph, top_down_view, write_camera_views, write_views
 from training.simulation.solids import WEIGHT_RADIUS_M, solid
 
 BACKGROUND, BODY, LIGHT_WEIGHT, HEAVY_WEIGHT = 0, 128, 179, 255  # of 255: 0, 0.5, 0.7, 1
@@ -118,6 +118,24 @@ def test_views_are_written_as_published_and_read_as_the_service_reads_uploads(tm
         buffer = io.BytesIO()
         Image.fromarray(view).save(buffer, "PNG")
         assert visual_context(decode(buffer.getvalue())).levels == context.tobytes()
+
+
+def test_camera_views_are_the_photographs_of_consecutive_seeds(tmp_path: Path) -> None:
+    """The n-th camera view of an object is the context of its photograph with the seed plus n. Existing files stay."""
+    write_camera_views(tmp_path, OBJECTS[:2], 2, seed=5, quiet=True)
+    kept = tmp_path / camera_views_file_name(OBJECTS[0])
+    before = kept.stat().st_mtime_ns
+    write_camera_views(tmp_path, OBJECTS[:2], 2, seed=5, quiet=True)
+    found = read_camera_views(tmp_path, OBJECTS[:2], 2)
+
+    assert kept.stat().st_mtime_ns == before
+    assert (found.shape, found.dtype) == ((2, 2, 1, 32, 32), np.dtype(np.uint8))
+    for row, descriptor in enumerate(OBJECTS[:2]):
+        for number in range(2):
+            view = GreyImage.from_array(photograph(descriptor, 5 + number), "a test")
+            assert visual_context(view).levels == found[row, number].tobytes()
+    with pytest.raises(DataError, match="declares another dataset"):
+        write_camera_views(tmp_path, OBJECTS, 3, seed=5, quiet=True)
 
 
 def test_files_depend_on_object_and_seed_alone(tmp_path: Path) -> None:
