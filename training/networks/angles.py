@@ -61,7 +61,7 @@ def in_push_frame(pusher: Tensor) -> Tensor:
     scale_m = float(known.input_std[0])
     along, aside = -(x_m * cosine + y_m * sine), x_m * sine - y_m * cosine
     return torch.stack(
-        [x, y, cosine, sine, along / scale_m, aside / scale_m, torch.hypot(along, aside) / scale_m], dim=-1
+        [x, y, cosine, sine, along / scale_m, aside / scale_m, torch.sqrt(along**2 + aside**2) / scale_m], dim=-1
     )
 
 

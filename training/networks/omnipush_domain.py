@@ -80,7 +80,7 @@ def push_features(pushers: Tensor) -> Tensor:
     """Return the features (n, 2) of pushes (n, 3): distance of the start from the centre, and of the line from it."""
     x_m, y_m, angle_rad = pushers.unbind(-1)
     aim_m = torch.abs(x_m * torch.sin(angle_rad) - y_m * torch.cos(angle_rad))
-    return torch.stack([torch.hypot(x_m, y_m), aim_m], dim=-1)
+    return torch.stack([torch.sqrt(x_m**2 + y_m**2), aim_m], dim=-1)
 
 
 def weights(indicators: Tensor) -> Tensor:

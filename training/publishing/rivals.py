@@ -41,7 +41,7 @@ def calibration_of(found: Predictions, factor: float | None = None) -> Calibrati
 def rivals_of(registry: Registry, name: str, set_up: Split, samples: Samples) -> dict[str, Rival] | None:
     """Measure the versions that aliases name on these held-out samples. Those that do not load are left out."""
     found = {}
-    for version in sorted(set(registry.aliases(name).values())):
+    for version in _named(registry, name):
         try:
             predictor = load_version(registry, OnnxPredictor, name, version).predictor
         except CazslError:
@@ -69,3 +69,11 @@ def predicted(predictor: Predictor, samples: Samples) -> Predictions:
     normalised = ((mean - known.output_mean) / known.output_std).astype(np.float32)
     log_std = np.log(std / known.output_std).astype(np.float32)
     return Predictions(normalised, log_std, outcome, inputs, objects, samples.target_std)
+
+
+def _named(registry: Registry, name: str) -> list[int]:
+    """Return the versions that aliases of a model name. A registry that is yet to be created has none."""
+    try:
+        return sorted(set(registry.aliases(name).values()))
+    except CazslError:
+        return []
