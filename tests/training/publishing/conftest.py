@@ -8,9 +8,10 @@ from service.model.tensors import ContextKind
 from service.registry.registry import Registry
 from tests.training.publishing.published_graphs import KINDS, load_push_network
 from training.fitting.run_folder import load_run
+from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PushNetwork
 from training.omnipush.pushes import Pushes, read_folder
-from training.publishing.publish import publish
+from training.publishing.publish import domain_of, publish
 
 
 @pytest.fixture(scope="session")
@@ -53,3 +54,20 @@ def registry(
 def graphs(registry: Registry) -> dict[ContextKind, bytes]:
     """Read the published graph of each kind."""
     return {kind: registry.read(f"push-{kind}", 1).model for kind in KINDS}
+
+
+@pytest.fixture(scope="session")
+def domains(data: dict[ContextKind, Pushes], runs: dict[ContextKind, Path]) -> dict[ContextKind, OmnipushDomain]:
+    """Return the domain of each kind's training pushes."""
+    return {kind: domain_of(data[kind].select(load_run(run)[0].split().train), kind) for kind, run in runs.items()}
+
+
+@pytest.fixture(scope="session")
+def scales(registry: Registry) -> dict[ContextKind, float]:
+    """Return the factor of the deviations that each published graph has inside."""
+    found = {}
+    for kind in KINDS:
+        calibration = registry.read(f"push-{kind}", 1).manifest.calibration["different-objects"]
+        assert calibration.scale is not None
+        found[kind] = calibration.scale
+    return found

@@ -17,6 +17,7 @@ from service.registry.registry import Registry
 from tests.training.publishing.published_graphs import KINDS, SAME, predict_graph
 from training.networks.angles import PushForm
 from training.networks.methods import METHODS
+from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 from training.omnipush.published import published_normalisation
 from training.publishing.onnx_export import export_onnx, strip_origin, wrap_last
@@ -40,15 +41,18 @@ def test_the_graph_has_the_interface_of_push_models(graphs: dict[ContextKind, by
     pusher = ("pusher", TensorProto.FLOAT, ["n", 3])
     shape = ["g", 1, 32, 32] if kind is ContextKind.VISUAL else ["g", 36]
     objects = [("context", TensorProto.FLOAT, shape), ("context_index", TensorProto.INT64, ["n"])]
-    outputs = [("mean", TensorProto.FLOAT, ["n", 3]), ("std", TensorProto.FLOAT, ["n", 3])]
+    outputs = [(name, TensorProto.FLOAT, ["n", size]) for name, size in (("mean", 3), ("std", 3), ("unfamiliarity", 2))]
     assert found == [pusher, *([] if kind is ContextKind.NONE else objects), *outputs]
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_graph_takes_and_gives_si_units(
-    graphs: dict[ContextKind, bytes], networks: dict[ContextKind, PushNetwork], kind: ContextKind
+    graphs: dict[ContextKind, bytes],
+    networks: dict[ContextKind, PushNetwork],
+    scales: dict[ContextKind, float],
+    kind: ContextKind,
 ) -> None:
-    """The graph predicts in metres and radians: the same as torch with the published normalisation around it."""
+    """The graph predicts in metres and radians: the same as torch with normalisation and factor around it."""
     known, batch = published_normalisation(), plausible_batch(kind, pushes=20, objects=5, seed=6)
     pusher = torch.from_numpy(((batch.pusher - known.input_mean) / known.input_std).astype(np.float32))
     context = batch.contexts[0][batch.context_index] if batch.contexts else np.zeros((20, 36), dtype=np.float32)
@@ -57,7 +61,7 @@ def test_the_graph_takes_and_gives_si_units(
 
     found = predict_graph(graphs[kind], kind, batch.pusher, batch.contexts, batch.context_index.tolist())
     assert found[0] == pytest.approx(mean[:, 0].numpy() * known.output_std + known.output_mean, abs=SAME)
-    assert found[1] == pytest.approx(np.exp(log_std[:, 0].numpy()) * known.output_std, abs=SAME)
+    assert found[1] == pytest.approx(np.exp(log_std[:, 0].numpy()) * known.output_std * scales[kind], abs=SAME)
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 1, 5])
@@ -151,13 +155,18 @@ def test_the_context_is_encoded_once_per_object(
 
 
 def test_the_same_network_gives_the_same_bytes(
-    registry: Registry, networks: dict[ContextKind, PushNetwork], graphs: dict[ContextKind, bytes]
+    registry: Registry,
+    networks: dict[ContextKind, PushNetwork],
+    domains: dict[ContextKind, OmnipushDomain],
+    scales: dict[ContextKind, float],
+    graphs: dict[ContextKind, bytes],
 ) -> None:
     """Exporting the same network again gives the same bytes."""
     first, second = (registry.read("push-indicator", version).manifest.files[MODEL_FILE] for version in (1, 2))
 
     assert first == second
-    assert export_onnx(networks[ContextKind.NONE], ContextKind.NONE) == graphs[ContextKind.NONE]
+    kind = ContextKind.NONE
+    assert export_onnx(networks[kind], kind, domains[kind], scales[kind]) == graphs[kind]
 
 
 @pytest.mark.parametrize("kind", KINDS)

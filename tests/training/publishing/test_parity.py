@@ -14,6 +14,7 @@ from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY
 from tests.training.publishing.published_graphs import KINDS
 from training.networks.mechanics import PushMechanics
 from training.networks.methods import METHODS
+from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 from training.publishing.onnx_export import export_module, export_onnx
 from training.publishing.parity import PARITY_TOLERANCE, SHAPE_TOLERANCE, check_parity, check_shape_parity
@@ -32,10 +33,14 @@ def with_scaled_constant(graph: bytes, name: str, factor: float) -> bytes:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_onnxruntime_agrees_with_torch(
-    graphs: dict[ContextKind, bytes], networks: dict[ContextKind, PushNetwork], kind: ContextKind
+    graphs: dict[ContextKind, bytes],
+    networks: dict[ContextKind, PushNetwork],
+    domains: dict[ContextKind, OmnipushDomain],
+    scales: dict[ContextKind, float],
+    kind: ContextKind,
 ) -> None:
     """The parity check of an exported graph returns a difference within the tolerance."""
-    assert 0.0 <= check_parity(networks[kind], graphs[kind], kind) <= PARITY_TOLERANCE
+    assert 0.0 <= check_parity(networks[kind], graphs[kind], kind, domains[kind], scales[kind]) <= PARITY_TOLERANCE
 
 
 @pytest.mark.parametrize(
@@ -54,6 +59,8 @@ def test_onnxruntime_agrees_with_torch(
 def test_a_graph_that_differs_from_torch_is_refused(
     graphs: dict[ContextKind, bytes],
     networks: dict[ContextKind, PushNetwork],
+    domains: dict[ContextKind, OmnipushDomain],
+    scales: dict[ContextKind, float],
     kind: ContextKind,
     constant: str,
     factor: float,
@@ -63,7 +70,7 @@ def test_a_graph_that_differs_from_torch_is_refused(
 
     # The predictor itself refuses a negative std, before the comparison.
     with pytest.raises(CazslError) as caught:
-        check_parity(networks[kind], graph, kind)
+        check_parity(networks[kind], graph, kind, domains[kind], scales[kind])
 
     assert isinstance(caught.value, PublishError) or (constant, factor) == ("output_std", -1.0)
 
