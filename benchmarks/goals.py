@@ -37,7 +37,7 @@ FAMILIES: Final = "the same with --held-out FAMILY ... and a version that did no
 RECORDED: Final = "python -m benchmarks.real_pushes FOLDER --out docs/results/real-pushes"
 OMNIPUSH: Final = "python -m benchmarks.omnipush_outlines data/approach-new/abs --out docs/results/omnipush-outlines"
 SERVING: Final = "python -m benchmarks.serving"
-PHOTOGRAPHS: Final = "python -m benchmarks.silhouettes"
+PHOTOGRAPHS: Final = "python -m benchmarks.silhouettes --out docs/results/silhouettes"
 WARNINGS: Final = "python -m benchmarks.warnings"
 RINGS: Final = "python -m benchmarks.bands runs/push-indicator runs/push-none runs/push-visual"
 
@@ -203,6 +203,8 @@ def goals() -> dict[str, tuple[Goal, ...]]:
             "silhouettes",
             "photographs: intersection over union of 0.9 on at least 95 %",
             PHOTOGRAPHS,
+            file="silhouettes/figures.json",
+            figure=lambda document: float(document["good"]),
             low=95.0,
             unit=" %",
         ),

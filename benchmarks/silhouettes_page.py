@@ -26,7 +26,9 @@ _BY: Final[dict[str, Callable[[Conditions], str]]] = {
 }
 PAGE: Final = """# Outlines found in pictures
 
-`{command} --out docs/results/silhouettes` (seed {seed}; constants were chosen on seed 11).
+`{command} --out docs/results/silhouettes`
+
+Seed {seed} chose nothing: the constants were chosen on seed 11.
 
 Rendered photographs of one object: any family, any rotation, off the centre, {sides[0]} to {sides[1]} pixels on the
 longer side, {shares[0]:.0%} to {shares[1]:.0%} of the shorter side across; on a plain table, wood, cloth or stone; lit
