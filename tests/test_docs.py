@@ -69,7 +69,7 @@ def test_every_shell_block_prints_json(port: int, folder: Path) -> None:
 def test_every_python_block_runs(port: int, folder: Path) -> None:
     """The Python blocks of docs/api.md run as one program, because later blocks use the variables of earlier ones."""
     blocks = [code for language, code in BLOCKS if language == "python"]
-    assert len(blocks) == 7
+    assert len(blocks) == 8
     printed = run([sys.executable, "-"], "\n".join(blocks).replace("localhost:8000", f"127.0.0.1:{port}"), folder)
     assert "turns the object least" in printed
     assert (folder / "seen.png").exists()

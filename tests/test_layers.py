@@ -22,16 +22,17 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.model": "service.errors service.turns service.processors",
         "service.pushing": "service.errors service.turns service.model",
         "service.silhouettes": "service.errors service.turns service.pushing",
+        "service.validity": "service.turns service.model service.pushing",
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.files service.model service.pushing service.storage",
-        "service.schemas": "service.errors service.model service.pushing service.silhouettes",
-        "service.inference": "service.errors service.turns service.model service.pushing service.storage "
-        "service.registry service.background service.observability",
+        "service.schemas": "service.errors service.model service.pushing service.silhouettes service.validity",
+        "service.inference": "service.errors service.turns service.model service.pushing service.validity "
+        "service.storage service.registry service.background service.observability",
         "service.transport": "service.errors service.files service.turns service.processors service.inference "
         "service.schemas service.background service.observability",
         "service.connections": "service.errors service.transport",
         "service.bulk": "service.errors service.files service.model service.pushing service.storage service.schemas "
-        "service.inference",
+        "service.inference service.validity",
         "service.api": "service.errors service.inference service.schemas service.background service.observability "
         "service.transport",
         "service.api.v1": "service.errors service.turns service.model service.pushing service.silhouettes "
@@ -88,6 +89,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.model": "numpy",
         "service.pushing": "numpy",
         "service.silhouettes": "numpy",
+        "service.validity": "numpy",
         "service.schemas": "numpy orjson pydantic pydantic_core",
         "service.inference": "numpy",
         "service.transport": "orjson starlette",

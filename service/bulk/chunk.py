@@ -5,8 +5,9 @@ are valid. A chunk is cut after a fixed number of rows, whatever executor predic
 executor.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +21,13 @@ from service.model.predictor import OnnxPredictor
 from service.model.self_check import measure_cost
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.image_quality import QualityFlag
 from service.pushing.poses import MAX_LENGTH_M, DoubleArray, unreachable, wrap_angles
 from service.pushing.shape_context import ShapeContext
 from service.schemas.body import parse_body
 from service.schemas.contexts import ContextBody
+from service.validity.codes import AnswerWarning
+from service.validity.judging import find_warnings
 
 POSE_COLUMNS: Final = ("x_m", "y_m", "angle_rad")
 LENGTH_COLUMN: Final = "length_m"  # may be left out: every push is one of ``PUSH_LENGTH_M``
@@ -33,9 +37,12 @@ CONTEXT_COLUMNS: Final = {
     ContextKind.VISUAL: "visual",
     ContextKind.SHAPE: "context",
 }
-PREDICTED_COLUMNS: Final = ("mean_x_m", "mean_y_m", "mean_angle_rad", "std_x_m", "std_y_m", "std_angle_rad")
+NUMBER_COLUMNS: Final = ("mean_x_m", "mean_y_m", "mean_angle_rad", "std_x_m", "std_y_m", "std_angle_rad")
+WARNINGS_COLUMN: Final = "warnings"
+PREDICTED_COLUMNS: Final = (*NUMBER_COLUMNS, WARNINGS_COLUMN)
 CHUNK_ROWS: Final = 8192
 CONTEXT_FIELD: Final = "column of contexts"
+Flags = tuple[QualityFlag, ...]
 _ROW: Final = "row {row} (counted from 0), column "
 _SHAPE: Final = 'a shape, such as {"outline": [[0.06, 0.04], [-0.06, 0.04], [0.0, -0.05]]}'
 
@@ -68,24 +75,43 @@ class ModelParts:
         return LoadedModel(self.manifest, "", predictor, measure_cost(self.manifest, predictor))
 
 
-def predict_chunk(model: LoadedModel, chunk: Chunk) -> FloatArray:
-    """Predict mean and std of each push, (n, 6), in the order of ``PREDICTED_COLUMNS``.
+class ChunkPredictions(NamedTuple):
+    """Predictions of n pushes."""
+
+    numbers: FloatArray
+    """(n, 6) mean and std, in the order of ``NUMBER_COLUMNS``."""
+    warnings: list[str]
+    """Codes of the warnings of each push, with spaces between them."""
+
+
+def predict_chunk(model: LoadedModel, chunk: Chunk) -> ChunkPredictions:
+    """Predict mean and std of each push, with warnings.
 
     Raises:
         InvalidRequestError: a row is invalid. Names the first one, its column, the value and the accepted values.
         PredictionError: the runtime failed.
     """
     kind = model.manifest.context_kind
-    tensors, context_fault = _contexts(kind, chunk)
+    tensors, flags, context_fault = _contexts(kind, chunk)
     push_fault = _push_fault(chunk, reach_m(kind))
     if fault := min(filter(None, (push_fault, context_fault)), key=lambda each: each[0], default=None):
         raise InvalidRequestError([fault[1]])
     poses, lengths_m = chunk.pushes[:, :3].copy(), chunk.pushes[:, 3]
     poses[:, 2] = wrap_angles(poses[:, 2])
-    contexts = ContextBatch(kind, tensors, chunk.context_index, CONTEXT_FIELD)
+    contexts = ContextBatch(kind, tensors, chunk.context_index, CONTEXT_FIELD, flags)
     fields = PushFields(_ROW + POSE_COLUMNS[0], _ROW + LENGTH_COLUMN, chunk.first_row)
-    found = predict(model, push_rows(model, poses, lengths_m, contexts, fields), contexts)
-    return np.hstack([found.mean, found.std])
+    rows = push_rows(model, poses, lengths_m, contexts, fields)
+    found = predict(model, rows, contexts)
+    warnings = find_warnings(model.manifest, rows, ((POSE_COLUMNS[2], chunk.pushes[:, 2]),), contexts, found)
+    return ChunkPredictions(np.hstack([found.mean, found.std]), _codes(warnings, len(rows)))
+
+
+def _codes(warnings: Sequence[AnswerWarning], count: int) -> list[str]:
+    found: list[list[str]] = [[] for _ in range(count)]
+    for warning in warnings:
+        for row in warning.rows:
+            found[row].append(warning.code)
+    return [" ".join(codes) for codes in found]
 
 
 def _push_fault(chunk: Chunk, most_m: float) -> tuple[int, FieldFault] | None:
@@ -106,10 +132,13 @@ def _push_fault(chunk: Chunk, most_m: float) -> tuple[int, FieldFault] | None:
     return row, unreachable(where, value, most_m)
 
 
-def _contexts(kind: ContextKind, chunk: Chunk) -> tuple[tuple[FloatArray, ...], tuple[int, FieldFault] | None]:
-    """Return the distinct contexts as tensors, or the first row with an invalid context and its fault."""
+def _contexts(
+    kind: ContextKind, chunk: Chunk
+) -> tuple[tuple[FloatArray, ...], tuple[Flags, ...], tuple[int, FieldFault] | None]:
+    """Return the distinct contexts as tensors with the faults of photographs, or the first row with an invalid one."""
     if chunk.context_index is None:
-        return (), None
+        return (), (), None
+    flags: list[Flags] = []
     found: list[tuple[FloatArray, ...]] = []
     for number, given in enumerate(
         chunk.contexts
@@ -117,38 +146,41 @@ def _contexts(kind: ContextKind, chunk: Chunk) -> tuple[tuple[FloatArray, ...], 
         row = int(np.argmax(chunk.context_index == number))
         where = _where(chunk, row, CONTEXT_COLUMNS[kind])
         try:
-            found.append(_tensors(kind, given, where))
+            tensors, of_one = _tensors(kind, given, where)
         except InvalidRequestError as error:
-            return (), (row, error.faults[0])
-    return tuple(map(np.stack, zip(*found, strict=True))), None
+            return (), (), (row, error.faults[0])
+        found.append(tensors)
+        flags.append(of_one)
+    return tuple(map(np.stack, zip(*found, strict=True))), tuple(flags), None
 
 
-def _tensors(kind: ContextKind, given: str | bytes | None, where: str) -> tuple[FloatArray, ...]:
+def _tensors(kind: ContextKind, given: str | bytes | None, where: str) -> tuple[tuple[FloatArray, ...], Flags]:
     match given:
         case str() if kind is ContextKind.SHAPE:
-            return _shape(given, where).tensors()
+            shape, flags = _shape(given, where)
+            return shape.tensors(), flags
         case str():
-            return (ObjectContext.from_descriptor(given, where).tensor(),)
+            return (ObjectContext.from_descriptor(given, where).tensor(),), ()
         case bytes():
-            return (VisualContext.from_bytes(given, where).tensor(),)
+            return (VisualContext.from_bytes(given, where).tensor(),), ()
         case None:
             raise InvalidRequestError.at(where, "an empty cell", "an object in every row")
 
 
-def _shape(given: str, where: str) -> ShapeContext:
-    """Return the shape of a context in JSON, as requests have it.
+def _shape(given: str, where: str) -> tuple[ShapeContext, Flags]:
+    """Return the shape of a context in JSON, as requests have it, and the faults of its photograph.
 
     Raises:
         InvalidRequestError: it is not JSON, not valid, or no shape.
     """
     try:
-        found = parse_body(ContextBody, given.encode(), (where,)).to_domain(where)
+        found, flags = parse_body(ContextBody, given.encode(), (where,)).describe(where)
     except InvalidRequestError:
         raise
     except RequestError as error:
         raise InvalidRequestError.at(where, "a text that is no context in JSON", _SHAPE) from error
     if isinstance(found, ShapeContext):
-        return found
+        return found, flags
     raise InvalidRequestError.at(where, f"a context of kind {found.kind}", _SHAPE)
 
 

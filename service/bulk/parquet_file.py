@@ -15,12 +15,22 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from service.bulk.chunk import CHUNK_ROWS, CONTEXT_COLUMNS, LENGTH_COLUMN, POSE_COLUMNS, PREDICTED_COLUMNS, Chunk
+from service.bulk.chunk import (
+    CHUNK_ROWS,
+    CONTEXT_COLUMNS,
+    LENGTH_COLUMN,
+    NUMBER_COLUMNS,
+    POSE_COLUMNS,
+    PREDICTED_COLUMNS,
+    WARNINGS_COLUMN,
+    Chunk,
+    ChunkPredictions,
+)
 from service.bulk.parquet_pages import read_chunks, read_pages
 from service.errors import DataError
 from service.files import check_regular
 from service.model.manifest import Manifest
-from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.model.tensors import ContextKind, IndexArray
 from service.pushing.contexts import VISUAL_SIZE
 from service.pushing.poses import PUSH_LENGTH_M
 
@@ -213,15 +223,17 @@ class PredictionFile:
 
     def __init__(self, opened: IO[bytes], schema: pa.Schema, model: Manifest) -> None:
         metadata = {"cazsl.model": model.name, "cazsl.version": str(model.version), "cazsl.frame": "object"}
-        for name in PREDICTED_COLUMNS:
+        for name in NUMBER_COLUMNS:
             schema = schema.append(pa.field(name, pa.float32(), nullable=False))
+        schema = schema.append(pa.field(WARNINGS_COLUMN, pa.string(), nullable=False))
         self._schema = schema.with_metadata({**(schema.metadata or {}), **metadata})
         self._writer = pq.ParquetWriter(opened, self._schema)
         self._waiting: list[pa.RecordBatch] = []
 
-    def write(self, batch: pa.RecordBatch, found: FloatArray) -> None:
-        """Add rows with their predictions, (n, 6)."""
-        predicted = [pa.array(column) for column in np.ascontiguousarray(found.T)]
+    def write(self, batch: pa.RecordBatch, found: ChunkPredictions) -> None:
+        """Add rows with their predictions."""
+        predicted = [pa.array(column) for column in np.ascontiguousarray(found.numbers.T)]
+        predicted.append(pa.array(found.warnings, pa.string()))
         self._waiting.append(pa.RecordBatch.from_arrays([*batch.columns, *predicted], schema=self._schema))
         if len(self._waiting) == GROUP_CHUNKS or sum(waiting.nbytes for waiting in self._waiting) >= GROUP_BYTES:
             self._write_group()

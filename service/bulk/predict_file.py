@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from service.bulk.chunk import ModelParts, predict_chunk
+from service.bulk.chunk import ChunkPredictions, ModelParts, predict_chunk
 from service.bulk.executors import Executor
 from service.bulk.parquet_file import PredictionFile, PushFile, chunk_of
-from service.model.tensors import FloatArray
 from service.storage.disk import new_file
 
 Task = tuple[int, pa.RecordBatch]  # the number of its first row, and the columns that the model needs
@@ -48,7 +47,7 @@ def predict_file(
             advance(batch.num_rows)
 
 
-def chunk_predictor(parts: ModelParts) -> Callable[[Task], FloatArray]:
+def chunk_predictor(parts: ModelParts) -> Callable[[Task], ChunkPredictions]:
     """Load the model once per process and return the function that predicts a task."""
     model = parts.load()
     return lambda task: predict_chunk(model, chunk_of(*task))

@@ -79,8 +79,9 @@ def predict(
     A file (extra 'parquet') has the columns x_m, y_m and angle_rad, and one column for the object: descriptor (text),
     visual (1,024 bytes), context (JSON of a shape, such as box.json), or none. With context, length_m may be a column.
     Other columns are kept. OUT has the same rows in the same order, with mean_x_m, mean_y_m, mean_angle_rad, std_x_m,
-    std_y_m and std_angle_rad. Its metadata name model and version. It appears once it is complete, is the same to the
-    bit for any number of jobs, and never replaces another file.
+    std_y_m, std_angle_rad, and warnings, the codes of POST /v1/predict with spaces between them. Its metadata name
+    model and version. It appears once it is complete, is the same to the bit for any number of jobs, and never replaces
+    another file.
     """
     given = {name: value for name, value in described.items() if value is not None}
     if files is not None:

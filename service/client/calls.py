@@ -34,7 +34,7 @@ from service.model.reference import is_name
 from service.schemas.body import Body
 from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionBody, ModelVersionDetailBody
-from service.schemas.predictions import BatchResponse, PredictResponse
+from service.schemas.predictions import BatchResponse, BatchWarningBody, PredictResponse
 from service.schemas.problems import ProblemBody
 
 T = TypeVar("T")
@@ -61,6 +61,7 @@ class Predictions:
         mean: (n, 3) x, y, angle in m, m, rad. The angle is in (-pi, pi].
         std: (n, 3) standard deviations in m, m, rad.
         covariance: (n, 3, 3) in the world frame, where x and y are correlated. None in the object's frame.
+        warnings: reasons not to rely on some rows, none if empty. Each has a code, a detail and the rows.
 
     The numbers are float32 in the object's frame, exactly the model's, and float64 in the world frame.
     """
@@ -70,6 +71,7 @@ class Predictions:
     mean: Numbers
     std: Numbers
     covariance: Numbers | None
+    warnings: tuple[BatchWarningBody, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +246,16 @@ def _predictions(content: bytes, count: int) -> Predictions:
         _array(body.mean, (count, POSE_PARTS), kind),
         _array(body.std, (count, POSE_PARTS), kind),
         None if body.covariance is None else _array(body.covariance, (count, POSE_PARTS, POSE_PARTS), kind),
+        _checked(body.warnings, count),
     )
+
+
+def _checked(warnings: Sequence[BatchWarningBody], count: int) -> tuple[BatchWarningBody, ...]:
+    for warning in warnings:
+        rows = warning.rows
+        if len(rows) > count or not all(0 <= row < count for row in rows):
+            raise UnreadableAnswerError(f"the answer warns of rows that are none of the {count} of the request")
+    return tuple(warnings)
 
 
 def _array(rows: Sequence[Any], shape: tuple[int, ...], kind: type[np.floating[Any]]) -> Numbers:

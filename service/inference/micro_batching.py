@@ -74,7 +74,7 @@ class MicroBatcher:
         self.submit(query, callback)
         found, seconds = await future
         record_timing("inference", seconds)
-        return query.encode(found)
+        return query.encode(found, query.judge(found))
 
     def flush(self) -> None:
         """Predict the waiting pushes now."""

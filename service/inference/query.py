@@ -16,9 +16,13 @@ from service.inference.pieces import predict_in_pieces
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind, FloatArray, Gaussians, IndexArray
 from service.observability.timings import record_timing
+from service.pushing.image_quality import QualityFlag
 from service.pushing.poses import wrap_angles
+from service.validity.codes import Angles, AnswerWarning
+from service.validity.judging import find_warnings
 
 FIRST_CONTEXT: Final = np.zeros(1, dtype=np.int64)
+Warnings = tuple[AnswerWarning, ...]
 _LARGEST_ANGLE: Final = np.nextafter(np.float32(math.pi), np.float32(0.0))  # float32's pi is beyond pi
 
 
@@ -46,12 +50,14 @@ class ContextBatch:
         tensors: (g, ...) float32 each, the distinct contexts in the order of a model's inputs. Empty for kind ``none``.
         index: (n,) int64, the context of each push. None for kind ``none``.
         where: field of the request that has the contexts, for errors.
+        flags: faults of the photograph of each context, if they are shapes from photographs. Views are judged later.
     """
 
     kind: ContextKind
     tensors: tuple[FloatArray, ...]
     index: IndexArray | None
     where: str
+    flags: tuple[tuple[QualityFlag, ...], ...] = ()
 
     @property
     def count(self) -> int:
@@ -98,6 +104,7 @@ class Query(ABC):
     model: LoadedModel
     pushers: FloatArray  # (n, 3) poses in the object frame, or (n, 4) with lengths
     contexts: ContextBatch
+    angles: Angles
 
     def answer(self) -> Answer:
         """Predict and encode.
@@ -105,21 +112,26 @@ class Query(ABC):
         Raises:
             ContextKindError, PredictionError: see ``predict``.
         """
-        return self.encode(self.predict())
+        return self.encode(*self.predict())
 
-    def predict(self) -> Gaussians:
-        """Return the predictions: the part that a thread does while the event loop goes on.
+    def predict(self) -> tuple[Gaussians, Warnings]:
+        """Return predictions and their warnings: the part that a thread does while the event loop goes on.
 
         Raises:
             ContextKindError, PredictionError: see ``predict``.
         """
-        return predict(self.model, self.pushers, self.contexts)
+        found = predict(self.model, self.pushers, self.contexts)
+        return found, self.judge(found)
+
+    def judge(self, found: Gaussians) -> Warnings:
+        """Return the warnings of predictions."""
+        return find_warnings(self.model.manifest, self.pushers, self.angles, self.contexts, found)
 
     def seconds(self) -> float:
         """Return a bound of the time that the runtime takes, by the measured cost of the version, in s."""
         return self.model.cost.seconds_of(len(self.pushers), self.contexts.count)
 
     @abstractmethod
-    def encode(self, found: Gaussians) -> Answer:
-        """Encode predictions as an answer."""
+    def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
+        """Encode predictions with their warnings as an answer."""
         ...

@@ -10,13 +10,14 @@ every processor computes the same bytes. numpy only.
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from service.pushing.contexts import ObjectContext
+from service.pushing.contexts import SIDES, ObjectContext
 from service.pushing.outlines import Outline
 
 Polygon = npt.NDArray[np.float64]  # (corners, 2), convex, counter-clockwise, metres
@@ -75,14 +76,23 @@ SIDE_SHAPES: Final[dict[str, Callable[[], list[Polygon]]]] = {
 
 def outline(context: ObjectContext) -> Outline:
     """Build the outline of an object: from corner to corner of the core, around the pieces of each side."""
-    corner = (CORE_HALF_WIDTH_M, -CORE_HALF_WIDTH_M)
-    parts = []
-    for quarter_turns, side in enumerate(context.sides):
-        points = np.unique(np.concatenate(SIDE_SHAPES[side.shape]()), axis=0)
-        outer = points[points[:, 0] > CORE_HALF_WIDTH_M + _SEAM_M]
-        around = np.array([corner, *outer[np.argsort(outer[:, 1], kind="stable")]])
-        parts.append(around @ quarter_turn(quarter_turns).T)
-    return Outline.of(np.concatenate(parts))
+    return outline_of_shapes("".join(side.shape for side in context.sides))
+
+
+def outline_of_shapes(digits: str) -> Outline:
+    """Build the outline of an object from the shape digits of its sides. Weights do not change it."""
+    corners = np.concatenate([_part(digit, quarter_turns) for quarter_turns, digit in enumerate(digits)])
+    corners.setflags(write=False)
+    return Outline(corners)  # counter-clockwise and simple by construction
+
+
+@lru_cache(maxsize=len(SIDE_SHAPES) * SIDES)
+def _part(digit: str, quarter_turns: int) -> Polygon:
+    """Return the corners of a side in its place, the core's corner before it included."""
+    points = np.unique(np.concatenate(SIDE_SHAPES[digit]()), axis=0)
+    outer = points[points[:, 0] > CORE_HALF_WIDTH_M + _SEAM_M]
+    around = np.array([(CORE_HALF_WIDTH_M, -CORE_HALF_WIDTH_M), *outer[np.argsort(outer[:, 1], kind="stable")]])
+    return around @ quarter_turn(quarter_turns).T
 
 
 def quarter_turn(count: int) -> npt.NDArray[np.float64]:

@@ -10,6 +10,7 @@ from pydantic import BeforeValidator, ConfigDict, Field
 
 from service.errors import InvalidRequestError
 from service.pushing.contexts import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
+from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode, visual_context
 from service.pushing.outlines import FEWEST_CORNERS, MOST_CORNERS
 from service.pushing.shape_context import ShapeContext
@@ -31,6 +32,7 @@ IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
     "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
     "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
 )
+DomainContext = ObjectContext | VisualContext | ShapeContext
 FORMS: Final = ("descriptor", "indicator", "visual", "image", "outline")
 _PIECE_LENGTH: Final = 1 << 18  # characters of base64: a multiple of four
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
@@ -151,8 +153,16 @@ class ContextBody(ShapeDetails):
         """Return True for an outline, or an image with its scale."""
         return self.outline is not None or (self.image is not None and self.metres_per_pixel is not None)
 
-    def to_domain(self, where: str = "body.context") -> ObjectContext | VisualContext | ShapeContext:
+    def to_domain(self, where: str = "body.context") -> DomainContext:
         """Return the object context. Blocking if it is an image, which is decoded.
+
+        Raises:
+            RequestError: see ``describe``.
+        """
+        return self.describe(where)[0]
+
+    def describe(self, where: str = "body.context") -> tuple[DomainContext, tuple[QualityFlag, ...]]:
+        """Return the object context, and the faults of the photograph in which its outline was found, if any.
 
         Raises:
             InvalidRequestError: there is not exactly one form, its value is not valid, or it has details that belong to
@@ -165,19 +175,20 @@ class ContextBody(ShapeDetails):
             raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(FORMS)}")
         self._check_details(given[0], where)
         if self.outline is not None:
-            return self.shape(read_outline(self.outline, f"{where}.outline"), where)
+            return self.shape(read_outline(self.outline, f"{where}.outline"), where), ()
         if self.descriptor is not None:
-            return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor")
+            return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor"), ()
         if self.indicator is not None:
-            return ObjectContext.from_indicator(self.indicator, f"{where}.indicator")
+            return ObjectContext.from_indicator(self.indicator, f"{where}.indicator"), ()
         if self.image is not None:
             image = _decode_base64(self.image, f"{where}.image")
             if self.metres_per_pixel is not None:
-                return find_shape(image, self, where).shape
-            return visual_context(decode(image, where=f"{where}.image"))
+                found = find_shape(image, self, where)
+                return found.shape, found.flags
+            return visual_context(decode(image, where=f"{where}.image")), ()
         if isinstance(self.visual, str):
-            return VisualContext.from_bytes(_decode_base64(self.visual, f"{where}.visual"), f"{where}.visual")
-        return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual")
+            return VisualContext.from_bytes(_decode_base64(self.visual, f"{where}.visual"), f"{where}.visual"), ()
+        return VisualContext.from_bytes(_levels(self.visual or [], f"{where}.visual"), f"{where}.visual"), ()
 
     def _check_details(self, form: str, where: str) -> None:
         """Refuse details of a shape beside a form that is no shape."""

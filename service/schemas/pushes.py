@@ -28,6 +28,7 @@ from service.schemas.body import Body, at_most
 from service.schemas.contexts import ContextBody
 from service.schemas.rows import MAX_PUSHES, Rows
 from service.schemas.shapes import OUTLINE_EXAMPLE
+from service.validity.codes import Angles
 
 
 class PusherBody(Body):
@@ -135,6 +136,12 @@ class PredictRequest(Prediction):
         pose = self.object_pose
         return None if pose is None else np.array([[pose.x, pose.y, wrap_angle(pose.angle)]])
 
+    def sent_angles(self) -> Angles:
+        """Return every angle of the request as it was sent, by its field."""
+        pusher = ("pusher.angle", (self.pusher.angle,))
+        pose = self.object_pose
+        return (pusher,) if pose is None else (pusher, ("object_pose.angle", (pose.angle,)))
+
     def pusher_poses(self, reach_m: float = REACH_M) -> DoubleArray:
         """Return the pusher pose in the object frame, (1, 3), its angle wrapped.
 
@@ -240,6 +247,11 @@ class BatchRequest(Prediction):
             received, accepted = f"{len(self.object_poses)} poses", f"1 pose, or {len(self.pushers)}: one per push"
             raise InvalidRequestError.at("body.object_poses", received, accepted)
         return reachable(self.object_poses, "body.object_poses", WORLD_M)
+
+    def sent_angles(self) -> Angles:
+        """Return every angle of the request as it was sent, by its field: one, or one per push."""
+        fields = (("pushers", self.pushers), ("object_poses", self.object_poses))
+        return tuple((name, rows[:, 2]) for name, rows in fields if rows is not None)
 
     def pusher_poses(self, reach_m: float = REACH_M) -> DoubleArray:
         """Return the pusher poses in the object frame, (n, 3), their angles wrapped.

@@ -164,7 +164,7 @@ class Endpoints:
         # Only the runtime goes to the thread: Python code needs the interpreter lock, and to exchange it costs time.
         predicted = await run(asked.predict)
         await self.turns.wait()
-        return asked.encode(predicted)
+        return asked.encode(*predicted)
 
     def query_single(self, endpoint: Endpoint[Any], request: HttpRequest) -> Query | None:
         """Return the query of a single push, to be submitted to the micro-batcher, or None if it needs a thread.

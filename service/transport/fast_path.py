@@ -163,7 +163,7 @@ class Shortcut:
         found, seconds = outcome
         record.timings.append(("inference", seconds))
         try:
-            answer = query.encode(found)
+            answer = query.encode(found, query.judge(found))
         except ENDINGS:
             raise
         except BaseException as error:  # a bug here must not leave the client without an answer

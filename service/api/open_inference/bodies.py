@@ -203,12 +203,26 @@ class InferRequestBody(Body):
     ] = None
 
 
+class AnswerParameters(Body):
+    """Parameters of an answer."""
+
+    warnings: Annotated[
+        str,
+        Field(
+            description="JSON text of the warnings of /v1/predict/batch: a list of objects with code, detail and rows. "
+            "Parameters of the protocol are texts, numbers or booleans.",
+            examples=["[]"],
+        ),
+    ]
+
+
 class InferResponseBody(Body):
     """Answer to an inference request."""
 
     model_name: Annotated[str, Field(description="model that answered", examples=["push-indicator"])]
     model_version: Annotated[str, Field(description="version that answered", examples=["1"])]
     id: Annotated[str | None, Field(description="id of the request", examples=["42"])] = None
+    parameters: Annotated[AnswerParameters, Field(examples=[{"warnings": "[]"}])]
     outputs: Annotated[list[InferTensorBody], Field(description="in the requested order", examples=[[_OUTPUT_EXAMPLE]])]
 
 

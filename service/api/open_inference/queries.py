@@ -5,17 +5,18 @@ context are rounded to 8 bits, as in ``/v1``. Parameters other than those of the
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
+import orjson
 
 from service.api.open_inference.bodies import InferRequestBody
 from service.api.open_inference.contexts import read_contexts
 from service.api.open_inference.wire import Array, read_inputs, read_json, render
 from service.errors import InvalidRequestError
 from service.inference.pushes import PushFields, push_rows, reach_m
-from service.inference.query import Answer, Query
+from service.inference.query import Answer, Query, Warnings
 from service.inference.snapshot import Snapshot
 from service.model.manifest import Manifest
 from service.model.reference import ModelReference, parse_version
@@ -42,10 +43,15 @@ class TensorQuery(Query):
     wanted: Mapping[str, bool]  # for each output, in order, True for raw bytes
     id: str | None
 
-    def encode(self, found: Gaussians) -> Answer:
+    def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
         """See ``Query.encode``."""
         name, version = self.model.manifest.name, self.model.manifest.version
-        document: dict[str, Any] = {"model_name": name, "model_version": str(version)}
+        listed = orjson.dumps([asdict(warning) for warning in warnings]).decode()
+        document: dict[str, Any] = {
+            "model_name": name,
+            "model_version": str(version),
+            "parameters": {"warnings": listed},
+        }
         if self.id is not None:
             document["id"] = self.id
         outputs = {output: getattr(found, output) for output in self.wanted}
@@ -81,8 +87,10 @@ def ask_inference(models: Snapshot, request: InferRequest) -> TensorQuery:
     wanted = _wanted_outputs(body, model.manifest)
     inputs = read_inputs(body, raw, model.manifest.inputs)
     poses, lengths_m = _pushes(inputs.get("pusher"), model.manifest)
+    angles = (("pusher", inputs["pusher"][:, 2].astype(np.float64)),)
     contexts = read_contexts(model.manifest, inputs, len(poses))
-    return TensorQuery(model, push_rows(model, poses, lengths_m, contexts, _FIELDS), contexts, wanted, body.id)
+    rows = push_rows(model, poses, lengths_m, contexts, _FIELDS)
+    return TensorQuery(model, rows, contexts, angles, wanted, body.id)
 
 
 def _wanted_outputs(body: InferRequestBody, manifest: Manifest) -> Mapping[str, bool]:

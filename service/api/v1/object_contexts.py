@@ -15,6 +15,7 @@ from service.inference.query import FIRST_CONTEXT, ContextBatch
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import timed
 from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode, visual_context
 from service.pushing.shape_context import ShapeContext
 from service.schemas.contexts import ContextBody
@@ -29,6 +30,7 @@ _FIELD: Final = "body.context"
 _NO_CONTEXT: Final = ContextBatch(ContextKind.NONE, (), None, _FIELD)
 _SHAPES: Final = ShapeCache()
 Tensors = tuple[FloatArray, ...]
+Flags = tuple[QualityFlag, ...]
 
 
 def is_light(context: ContextBody) -> bool:
@@ -47,8 +49,8 @@ def encode_context(context: ContextBody | None) -> ContextBatch:
     """
     if context is None:
         return _NO_CONTEXT
-    kind, tensors = _encode(context, context.key, _FIELD)
-    return ContextBatch(kind, tensors, FIRST_CONTEXT, _FIELD)
+    kind, tensors, flags = _encode(context, context.key, _FIELD)
+    return ContextBatch(kind, tensors, FIRST_CONTEXT, _FIELD, (flags,) if flags else ())
 
 
 def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | None) -> ContextBatch:
@@ -67,6 +69,7 @@ def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | 
     found: ContextKind | None = None
     together: Tensors = ()
     known: dict[Hashable, int] = {}
+    flags: list[Flags] = []
     renumbered = np.empty(len(contexts), dtype=np.int64)
     count = 0
     for number, context in enumerate(contexts):
@@ -75,7 +78,8 @@ def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | 
         key = context.key
         place = None if key is None else known.get(key)
         if place is None:
-            kind, tensors = _encode(context, key, f"{where}.{number}")
+            kind, tensors, of_one = _encode(context, key, f"{where}.{number}")
+            flags.append(of_one)
             if found is None:  # room for all of them: a list of tensors and their copy would take twice the memory
                 found = kind
                 most = min(len(contexts), MAX_SHAPES) if kind is ContextKind.SHAPE else len(contexts)
@@ -92,7 +96,9 @@ def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | 
             if key is not None:
                 known[key] = place
         renumbered[number] = place
-    return ContextBatch(found or ContextKind.NONE, tuple(room[:count] for room in together), renumbered[index], where)
+    tensors = tuple(room[:count] for room in together)
+    faults = tuple(flags) if any(flags) else ()
+    return ContextBatch(found or ContextKind.NONE, tensors, renumbered[index], where, faults)
 
 
 def encode_image(image: bytes, details: ShapeDetails, index: IndexArray) -> ContextBatch:
@@ -103,7 +109,8 @@ def encode_image(image: bytes, details: ShapeDetails, index: IndexArray) -> Cont
         InvalidRequestError: details of a shape came without the scale.
     """
     if details.metres_per_pixel is not None:
-        return ContextBatch(ContextKind.SHAPE, _tensors(read_shape(image, details).shape), index, "body.image")
+        found = read_shape(image, details)
+        return ContextBatch(ContextKind.SHAPE, _tensors(found.shape), index, "body.image", (found.flags,))
     details.check_without_scale("body")
     return ContextBatch(ContextKind.VISUAL, _tensors(read_view(image)), index, "body.image")
 
@@ -128,24 +135,24 @@ def read_shape(image: bytes, details: ShapeDetails) -> FoundShape:
         return find_shape(image, details, "body")
 
 
-def _encode(context: ContextBody, key: str | ShapeKey | None, where: str) -> tuple[ContextKind, Tensors]:
-    """Return kind and tensors (1, ...) of one context."""
+def _encode(context: ContextBody, key: str | ShapeKey | None, where: str) -> tuple[ContextKind, Tensors, Flags]:
+    """Return kind and tensors (1, ...) of one context, and the faults of its photograph."""
     if isinstance(key, str):
         try:
-            return ContextKind.INDICATOR, (_tensor_of(key),)
+            return ContextKind.INDICATOR, (_tensor_of(key),), ()
         except InvalidRequestError:
             pass  # raised again below, with the field
     elif key is not None and (tensors := _SHAPES.get(key)) is not None:
-        return ContextKind.SHAPE, tensors
+        return ContextKind.SHAPE, tensors, ()
     if context.image is None:
-        known = context.to_domain(where)
+        known, flags = context.describe(where)
     else:
         with timed("decode"):
-            known = context.to_domain(where)
+            known, flags = context.describe(where)
     tensors = _tensors(known)
     if isinstance(key, tuple):
         _SHAPES.put(key, tensors)
-    return known.kind, tensors
+    return known.kind, tensors, flags
 
 
 def _tensors(known: ObjectContext | VisualContext | ShapeContext) -> Tensors:

@@ -12,7 +12,7 @@ import orjson
 
 from service.api.v1.object_contexts import encode_context, encode_contexts, encode_image, read_shape, read_view
 from service.inference.pushes import PushFields, push_rows, reach_m
-from service.inference.query import FIRST_CONTEXT, Answer, ContextBatch, Query
+from service.inference.query import FIRST_CONTEXT, Answer, ContextBatch, Query, Warnings
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind, FloatArray, Gaussians
@@ -34,8 +34,9 @@ class JsonQuery(Query):
 
     frames: DoubleArray | None  # object poses in the world, (1, 3) or (n, 3)
     render: Render
+    warn: Callable[[Warnings], list[dict[str, object]]]
 
-    def encode(self, found: Gaussians) -> Answer:
+    def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
         """See ``Query.encode``."""
         name, version = self.model.manifest.name, self.model.manifest.version
         document: dict[str, object] = {"model": {"name": name, "version": version}}
@@ -46,6 +47,7 @@ class JsonQuery(Query):
             turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), self.frames)
             spread = np.ascontiguousarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
             document |= {"frame": "world", **self.render(turned, spread, covariance)}
+        document["warnings"] = self.warn(warnings)
         return Answer(orjson.dumps(document, option=_JSON), name, version, len(mean))
 
 
@@ -139,14 +141,14 @@ def _find(models: Snapshot, request: Prediction, contexts: ContextBatch) -> Load
 def _single(model: LoadedModel, request: PredictRequest, contexts: ContextBatch) -> JsonQuery:
     poses = request.pusher_poses(reach_m(contexts.kind))
     rows = push_rows(model, poses, request.lengths_m(), contexts, _ONE_PUSH)
-    return JsonQuery(model, rows, contexts, request.object_frames(), _one)
+    return JsonQuery(model, rows, contexts, request.sent_angles(), request.object_frames(), _one, _of_one)
 
 
 def _batch(model: LoadedModel, request: BatchRequest, contexts: ContextBatch) -> JsonQuery:
     poses, lengths_m = request.pusher_poses(reach_m(contexts.kind)), request.lengths_m()
     fields = PushFields("body.pushers.{row}", "body.lengths" if len(lengths_m) == 1 else "body.lengths.{row}")
     rows = push_rows(model, poses, lengths_m, contexts, fields)
-    return JsonQuery(model, rows, contexts, request.object_frames(), _columns)
+    return JsonQuery(model, rows, contexts, request.sent_angles(), request.object_frames(), _columns, _of_rows)
 
 
 def _one(mean: _Array, std: _Array, covariance: DoubleArray | None) -> dict[str, object]:
@@ -161,3 +163,11 @@ def _one(mean: _Array, std: _Array, covariance: DoubleArray | None) -> dict[str,
 def _columns(mean: _Array, std: _Array, covariance: DoubleArray | None) -> dict[str, object]:
     rows: dict[str, object] = {"mean": mean, "std": std}
     return rows if covariance is None else {**rows, "covariance": covariance}
+
+
+def _of_one(warnings: Warnings) -> list[dict[str, object]]:
+    return [{"code": warning.code, "detail": warning.detail} for warning in warnings]
+
+
+def _of_rows(warnings: Warnings) -> list[dict[str, object]]:
+    return [{"code": warning.code, "detail": warning.detail, "rows": warning.rows} for warning in warnings]

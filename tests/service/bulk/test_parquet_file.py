@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
 
-from service.bulk.chunk import CHUNK_ROWS
+from service.bulk.chunk import CHUNK_ROWS, ChunkPredictions
 from service.bulk.parquet_file import MAX_COLUMNS, PART_BYTES, PredictionFile, PushFile
 from service.cli.main import main
 from service.errors import DataError
@@ -151,7 +151,8 @@ def test_large_rows_are_written_in_small_groups(tmp_path: Path) -> None:
     source = PushFile(path)
     with (tmp_path / "out").open("wb") as opened, PredictionFile(opened, source.schema, draft_manifest()) as written:
         for batch in source.batches():
-            written.write(batch, np.zeros((batch.num_rows, 6), dtype=np.float32))
+            numbers = np.zeros((batch.num_rows, 6), dtype=np.float32)
+            written.write(batch, ChunkPredictions(numbers, [""] * batch.num_rows))
     assert pq.read_metadata(tmp_path / "out").num_row_groups > 1
     assert pq.read_table(tmp_path / "out", columns=["note"]).column(0).to_pylist() == [LONG] * 200
 

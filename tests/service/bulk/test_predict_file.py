@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner, Result
 
-from service.bulk.chunk import CHUNK_ROWS, PREDICTED_COLUMNS, ModelParts
+from service.bulk.chunk import CHUNK_ROWS, NUMBER_COLUMNS, PREDICTED_COLUMNS, ModelParts
 from service.bulk.executors import Executor, ProcessExecutor, SerialExecutor, ThreadExecutor
 from service.bulk.parquet_file import PushFile
 from service.bulk.predict_file import predict_file
@@ -106,7 +106,7 @@ def test_rows_keep_their_order_and_get_what_the_service_answers(
         answer = client.predict_batch(
             np.column_stack([few[name] for name in ("x_m", "y_m", "angle_rad")]), few["descriptor"].to_pylist()
         )
-    predicted = np.column_stack([found[name].to_numpy()[rows] for name in PREDICTED_COLUMNS])
+    predicted = np.column_stack([found[name].to_numpy()[rows] for name in NUMBER_COLUMNS])
     np.testing.assert_allclose(predicted, np.hstack([answer.mean, answer.std]), rtol=1e-4, atol=1e-6)
 
 
@@ -186,7 +186,7 @@ def test_file_without_rows_gives_a_file_without_rows(tmp_path: Path, registry: P
     """A file without rows is predicted to a file without rows that has all columns."""
     result = predict(table(5).slice(0, 0), tmp_path / "out.parquet", registry)
     assert result.exit_code == 0, result.output
-    assert pq.read_schema(tmp_path / "out.parquet").names[-6:] == [*PREDICTED_COLUMNS]
+    assert pq.read_schema(tmp_path / "out.parquet").names[-7:] == [*PREDICTED_COLUMNS]
 
 
 @pytest.mark.parametrize(
@@ -335,7 +335,7 @@ def test_shapes_are_predicted_with_their_lengths(with_shapes: Path, tmp_path: Pa
         contexts = [ContextBody.model_validate_json(text) for text in given["context"].to_pylist()]
         poses = np.column_stack([given[name] for name in ("x_m", "y_m", "angle_rad")])
         answer = client.predict_batch(poses, contexts, lengths=given["length_m"].to_numpy())
-    predicted = np.column_stack([found[name].to_numpy() for name in PREDICTED_COLUMNS])
+    predicted = np.column_stack([found[name].to_numpy() for name in NUMBER_COLUMNS])
     np.testing.assert_allclose(predicted, np.hstack([answer.mean, answer.std]), rtol=1e-4, atol=1e-6)
 
 
@@ -373,3 +373,13 @@ def test_an_invalid_shape_or_length_names_its_row(
     assert result.exit_code == 1
     assert message in result.output
     assert not (tmp_path / "out.parquet").exists()
+
+
+def test_warnings_are_a_column(tmp_path: Path, registry: Path) -> None:
+    """Each row has its codes with spaces between them, or an empty text."""
+    pushes = table(3, x_m=[-0.08, -0.5, -0.08], y_m=[0.0] * 3, angle_rad=[0.0, 0.0, -180.0])
+    assert predict(pushes, tmp_path / "out.parquet", registry).exit_code == 0
+    found = pq.read_table(tmp_path / "out.parquet")["warnings"].to_pylist()
+    assert found[0] == ""
+    assert found[1].split() == ["no_contact", "unfamiliar_push"]
+    assert "angle_looks_like_degrees" in found[2].split()

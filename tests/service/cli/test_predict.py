@@ -28,6 +28,9 @@ def test_one_push_prints_the_answer_of_the_service(project_root: Path) -> None:
     answer = json.loads(result.output)
     assert answer["model"]["name"] == "push-indicator"
     assert 0.0 < answer["mean"]["x"] < 0.05
+    assert answer["warnings"] == []
+    strange = predict("1a2b3c4a", "--", "-0.5", "0", "0", registry=project_root / "models")
+    assert json.loads(strange.output)["warnings"][0]["code"] == "no_contact"
 
 
 @pytest.mark.parametrize(

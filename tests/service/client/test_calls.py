@@ -181,3 +181,17 @@ def test_answer_of_many_rows_is_refused_before_it_is_parsed() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < len(answer)
+
+
+def test_warnings_of_an_answer_are_read() -> None:
+    """An answer has warnings with codes of later services too, or none of an older service."""
+    assert read(BATCH).warnings == ()
+    (found,) = read({**BATCH, "warnings": [{"code": "a_later_one", "detail": "why", "rows": [1]}]}).warnings
+    assert (found.code, found.detail, found.rows) == ("a_later_one", "why", [1])
+
+
+@pytest.mark.parametrize("rows", [[2], [-1], ["x"], None, [0] * 2_000_000], ids=["2", "-1", "x", "none", "many"])
+def test_a_warning_of_other_rows_is_an_error(rows: Any) -> None:
+    """Rows of a warning are rows of the request, at most each once."""
+    with pytest.raises(UnreadableAnswerError, match="the answer"):
+        read({**BATCH, "warnings": [{"code": "no_contact", "detail": "why", "rows": rows}]})

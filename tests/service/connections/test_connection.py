@@ -26,7 +26,7 @@ from service.app import Service, create_app
 from service.connections.framing import MAX_HEADERS, MAX_TARGET_BYTES
 from service.connections.unsent import PairedWrites
 from service.inference.loaded_models import LoadedModels
-from service.inference.query import Answer, ContextBatch, Query
+from service.inference.query import Answer, ContextBatch, Query, Warnings
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, Gaussians
 from service.observability.logs import RequestLog
@@ -484,7 +484,7 @@ def test_a_bug_of_the_shortcut_is_logged_and_answered_with_a_500(
 class Unencodable(Query):
     """A query whose answer cannot be encoded."""
 
-    def encode(self, found: Gaussians) -> Answer:
+    def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
         """Raise an exception that is not of our tree."""
         raise ZeroDivisionError("the fake has a bug")
 
@@ -495,7 +495,7 @@ def test_an_answer_that_cannot_be_encoded_is_a_500(
     """A bug in the encoding of an answer must not leave the client waiting."""
     model = models.snapshot.find(ModelReference.parse("push-none"))
     contexts = ContextBatch(ContextKind.NONE, (), None, "body.context")
-    query = Unencodable(model, np.zeros((1, 3), dtype=np.float32), contexts)
+    query = Unencodable(model, np.zeros((1, 3), dtype=np.float32), contexts, ())
     shortcut = shortcut_only(models, endpoint=replace(SINGLE, ask=lambda *_: query))
     received = exchange(loop, lambda: FakeConnection(FRAMEWORK, shortcut), post("/v1/predict", BODY))
     assert status(received) == 500

@@ -8,7 +8,7 @@ import pytest
 
 from service.errors import ContextKindError
 from service.inference.loaded_models import LoadedModels
-from service.inference.query import Answer, ContextBatch, Query, predict
+from service.inference.query import Answer, ContextBatch, Query, Warnings, predict
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray
 from service.observability.timings import Timings, collect_timings
@@ -91,7 +91,7 @@ def test_a_wrong_kind_of_context_names_its_field(models: LoadedModels) -> None:
 class TextQuery(Query):
     """A query whose answer is the number of pushes as text."""
 
-    def encode(self, found: Gaussians) -> Answer:
+    def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
         """See ``Query.encode``."""
         return Answer(b"%d" % len(found.mean), headers=((b"content-type", b"text/plain"),))
 
@@ -101,7 +101,7 @@ def test_a_query_is_predicted_encoded_and_timed(models: LoadedModels) -> None:
     timings: Timings = []
     collect_timings(timings)
     model = models.snapshot.find_default(ContextKind.NONE)
-    answer = TextQuery(model, np.zeros((3, 3), dtype=np.float32), NO_CONTEXT).answer()
+    answer = TextQuery(model, np.zeros((3, 3), dtype=np.float32), NO_CONTEXT, ()).answer()
     assert answer.head() == ((b"content-type", b"text/plain"), (b"content-length", b"1"))
     assert answer.content == b"3"
     assert [phase for phase, _ in timings] == ["inference"]

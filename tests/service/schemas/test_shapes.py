@@ -27,6 +27,17 @@ def box_picture(left: int = 100, top: int = 100, size: tuple[int, int] = (400, 3
     return buffer.getvalue()
 
 
+def two_boxes() -> bytes:
+    """Return a mask of a rectangle of 150 x 100 pixels and a small one, which is no speck, as PNG."""
+    image = Image.new("L", (400, 300))
+    draw = ImageDraw.Draw(image)
+    draw.rectangle((100, 100, 249, 199), fill=255)
+    draw.rectangle((330, 240, 350, 260), fill=255)
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG")
+    return buffer.getvalue()
+
+
 def shape_of(body: dict[str, Any]) -> ShapeContext:
     """Return the shape of a context."""
     found = validate_body(ContextBody, body).to_domain("there")

@@ -12,7 +12,7 @@ import pytest
 from service.errors import InvalidRequestError, NotAcceptableError
 from service.inference.loaded_models import LoadedModels
 from service.inference.micro_batching import CALL_S
-from service.inference.query import Answer, ContextBatch, Query
+from service.inference.query import Answer, ContextBatch, Query, Warnings
 from service.inference.snapshot import Snapshot
 from service.model.loaded_model import LoadedModel
 from service.model.push_cost import PushCost
@@ -73,7 +73,7 @@ class NotingQuery(Query):
 
     steps: Steps
 
-    def encode(self, found: Gaussians) -> Answer:
+    def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
         """See ``Query.encode``."""
         self.steps.add("encode")
         return Answer(b"%d" % len(found.mean), "push-none", 1, len(found.mean))
@@ -113,7 +113,7 @@ def fake_endpoint(
     def ask(_models: Snapshot, pushes: int) -> Query:
         steps.add("ask")
         contexts = ContextBatch(ContextKind.NONE, (), None, "body.context")
-        return NotingQuery(model, np.zeros((pushes, 3), dtype=np.float32), contexts, steps)
+        return NotingQuery(model, np.zeros((pushes, 3), dtype=np.float32), contexts, (), steps)
 
     return Endpoint(path, check, read, ask, lambda _: weight, lambda _: is_read_quickly)
 

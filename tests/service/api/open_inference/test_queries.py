@@ -140,3 +140,15 @@ def test_a_path_that_names_no_model_is_refused(model: str, version: str | None) 
     """A name or a version that is not valid is an error of the request."""
     with pytest.raises(InvalidRequestError):
         parse_reference(model, version)
+
+
+def test_warnings_are_a_text_among_the_parameters(client: TestClient) -> None:
+    """The parameter has the warnings of /v1 as JSON, whatever the form of the outputs, and an empty list if none."""
+    rows = np.array([[-0.08, 0.0, 0.0], [-0.5, 0.0, 0.0]], dtype=np.float32)
+    view = np.zeros((1, 1, 32, 32), dtype=np.float32)
+    inputs = [tensor("pusher", rows), tensor("context", view)]
+    found = client.post("/v2/models/push-visual/infer", json={"inputs": inputs}).json()
+    body = {"pushers": rows.tolist(), "contexts": [{"visual": [[0.0] * 32] * 32}]}
+    expected = client.post("/v1/predict/batch", json=body).json()["warnings"]
+    assert json.loads(found["parameters"]["warnings"]) == expected
+    assert {"image_blank"} <= {warning["code"] for warning in expected}

@@ -15,7 +15,7 @@ from service.pushing.contexts import ObjectContext
 from service.schemas.predictions import BatchResponse, PredictResponse
 from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
 from tests.service.api.v1.requests import answer, batch, fault, problem, single
-from tests.service.schemas.test_shapes import box_picture
+from tests.service.schemas.test_shapes import box_picture, two_boxes
 
 DESCRIPTORS = ("1a2b3c4a", "4a4a4a4a", "2B1c3a4b", "3c3a3a3b")
 INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
@@ -293,3 +293,40 @@ def test_details_without_a_scale_or_not_valid_are_refused(faked: TestClient, pat
     pusher = {} if path == "/v1/contexts" else {"pushers": str([ROW])}
     for data, where in (({"friction": "0.3"}, "body.friction"), ({"metres_per_pixel": "0"}, "body.metres_per_pixel")):
         assert fault(faked.post(path, files={"image": box_picture()}, data=pusher | data))[0] == where
+
+
+def test_a_push_that_can_be_relied_on_has_no_warnings(shipped: TestClient) -> None:
+    """The list is there and empty, for one push and for a batch."""
+    assert single(shipped, [-0.08, 0.0, 0.0], "1a2b3c4a")["warnings"] == []
+    assert batch(shipped, pushers=[[-0.08, 0.0, 0.0]] * 2, contexts=[{"descriptor": "1a2b3c4a"}])["warnings"] == []
+
+
+def test_warnings_of_a_batch_are_those_of_its_pushes_alone(shipped: TestClient) -> None:
+    """A batch has each code once, with the rows whose single answers have it."""
+    rows = [[-0.08, 0.0, 0.0], [-0.5, 0.0, 0.0], [0.01, 0.0, 0.0], [-0.08, 0.0, 180.0]]
+    found = batch(shipped, pushers=rows, contexts=[{"descriptor": "1a2b3c4a"}])["warnings"]
+    of_batch = {warning["code"]: warning["rows"] for warning in found}
+    assert len(of_batch) == len(found)
+    alone = [{warning["code"] for warning in single(shipped, row, "1a2b3c4a")["warnings"]} for row in rows]
+    assert alone[0] == set()
+    assert {code: [row for row, codes in enumerate(alone) if code in codes] for code in of_batch} == of_batch
+    assert set(of_batch) == set().union(*alone) >= {"no_contact", "starts_inside", "angle_looks_like_degrees"}
+
+
+def test_a_photograph_with_several_objects_warns_in_every_form(faked: TestClient) -> None:
+    """The flag of a picture comes with the prediction: of JSON, of a form, and of a batch with its rows."""
+    image = two_boxes()
+    form = faked.post("/v1/predict/image", files={"image": image}, data=SCALE | {"pusher": json.dumps(PUSHER)}).json()[
+        "warnings"
+    ]
+    context = {"image": base64.b64encode(image).decode(), "metres_per_pixel": 0.0005}
+    assert [warning["code"] for warning in form] == ["image_several_objects"]
+    assert answer(faked, "/v1/predict", {"pusher": PUSHER, "context": context})["warnings"] == form
+    (found,) = batch(faked, pushers=[ROW] * 3, contexts=[BOX, context], context_index=[0, 1, 1])["warnings"]
+    assert (found["code"], found["rows"]) == ("image_several_objects", [1, 2])
+
+
+def test_a_picture_of_an_empty_table_warns(shipped: TestClient) -> None:
+    """A view of nothing is answered with the warning that it is blank."""
+    found = answer(shipped, "/v1/predict", {"pusher": PUSHER, "context": {"visual": [[0.1] * 32] * 32}})
+    assert "image_blank" in {warning["code"] for warning in found["warnings"]}

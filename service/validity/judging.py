@@ -1,0 +1,195 @@
+"""Judging of pushes, their objects and their predictions: all warnings of an answer.
+
+A single push without any warning is recognised by bounds that take a few microseconds. Everything else is judged in
+columns. Contact is known for objects whose form is known: by descriptor, from a view, or from the answer of a model of
+any shape, which is exactly zero for a push that misses.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from service.model.manifest import Manifest
+from service.model.tensors import ContextKind, FloatArray, Gaussians
+from service.pushing.poses import PUSH_LENGTH_M, DoubleArray
+from service.pushing.shape_context import BODY, PUSHER_RADIUS_M, ShapeTensors
+from service.validity.codes import Angles, AnswerWarning, WarningCode
+from service.validity.contact import contacts, is_plain_contact
+from service.validity.domains import (
+    AIM_OFFSET,
+    RING,
+    SIZE,
+    START_DISTANCE,
+    in_words,
+    is_published_without,
+    outside,
+    push_features,
+    validity_of,
+)
+from service.validity.known_objects import Contexts, known_object
+from service.validity.omnipush import is_omnipush, unlike_omnipush
+from service.validity.pictures import PICTURES, flags_of
+
+NO_WARNINGS: Final[tuple[AnswerWarning, ...]] = ()
+_TURN_RAD: Final = 2.0 * math.pi
+_NEAREST_M, _FURTHEST_M = RING.ranges[START_DISTANCE]
+_MOST_ASIDE_M: Final = RING.ranges[AIM_OFFSET][1]
+
+
+class _Judgement(NamedTuple):
+    code: WarningCode
+    rows: npt.NDArray[np.bool_]  # (n,)
+    describe: Callable[[int], str]  # says of one of these rows why
+
+
+def find_warnings(
+    manifest: Manifest, pushers: FloatArray, angles: Angles, contexts: Contexts, found: Gaussians
+) -> tuple[AnswerWarning, ...]:
+    """Return the warnings of an answer, by their codes.
+
+    Args:
+        manifest: of the version that answered.
+        pushers: (n, 3) poses of the tip in the object frame, m, m, rad, or (n, 4) with lengths in m.
+        angles: those of the request, before they were wrapped.
+        contexts: of the pushes.
+        found: the predictions.
+    """
+    is_alone = len(pushers) == 1 and (not contexts.tensors or len(contexts.tensors[0]) == 1)
+    if is_alone and _is_plain(manifest, pushers, angles, contexts, found):
+        return NO_WARNINGS
+    rows = np.full((len(pushers), 4), PUSH_LENGTH_M)
+    rows[:, : pushers.shape[1]] = pushers
+    warnings = []
+    for code, mask, describe in _judgements(manifest, rows, angles, contexts, found):
+        places = np.flatnonzero(mask)
+        if len(places):
+            first = int(places[0])
+            where = f"row {first}: " if len(mask) > 1 else ""
+            warnings.append(AnswerWarning(code, f"{where}{describe(first)}.", tuple(places.tolist())))
+    return tuple(warnings)
+
+
+def _is_plain(manifest: Manifest, pushers: FloatArray, angles: Angles, contexts: Contexts, found: Gaussians) -> bool:
+    """Return True if one push surely has no warning."""
+    for _, values in angles:
+        if abs(values[0]) > _TURN_RAD:
+            return False
+    if any(contexts.flags):
+        return False
+    kind, key = contexts.kind, contexts.tensors[0].tobytes() if contexts.tensors else b""
+    x, y, angle, *lengths = pushers[0].tolist()
+    if found.unfamiliarity is not None:
+        if max(found.unfamiliarity[0].tolist()) > 1.0:
+            return False
+    elif is_published_without(manifest):
+        aside = math.cos(angle) * y - math.sin(angle) * x
+        if not (_NEAREST_M <= math.hypot(x, y) <= _FURTHEST_M and -_MOST_ASIDE_M <= aside <= _MOST_ASIDE_M):
+            return False
+        if not is_omnipush(kind, key):
+            return False
+    if kind is ContextKind.SHAPE:
+        return any(found.mean[0].tolist())
+    if kind is ContextKind.NONE:
+        return True
+    known = known_object(kind, key)
+    length = lengths[0] if lengths else PUSH_LENGTH_M
+    return not known.flags and is_plain_contact(known, x, y, angle, length, PUSHER_RADIUS_M)
+
+
+def _judgements(
+    manifest: Manifest, rows: DoubleArray, angles: Angles, contexts: Contexts, found: Gaussians
+) -> Iterator[_Judgement]:
+    """Yield every judgement of rows (n, 4), x_m, y_m, angle_rad, length_m."""
+    met = contacts(contexts, rows, found.mean)
+    yield _Judgement(WarningCode.NO_CONTACT, met.misses, met.describe_miss)
+    yield _Judgement(WarningCode.STARTS_INSIDE, met.inside, met.describe_inside)
+    yield _push(manifest, rows, contexts, found)
+    yield _object(manifest, len(rows), contexts, found)
+    flags = flags_of(contexts)
+    if any(flags) and contexts.index is not None:
+        for flag, (code, sentence) in PICTURES.items():
+            faulty = np.array([flag in of_one for of_one in flags], dtype=np.bool_)
+            yield _Judgement(code, faulty[contexts.index], partial(_same, sentence))
+    yield _degrees(len(rows), angles)
+
+
+def _push(manifest: Manifest, rows: DoubleArray, contexts: Contexts, found: Gaussians) -> _Judgement:
+    """Judge which pushes are outside of the domain."""
+    validity = validity_of(manifest)
+    features = push_features(rows, _centres_m(contexts))
+    if found.unfamiliarity is not None:
+        strange = found.unfamiliarity[:, 0] > 1.0
+    elif validity is not None and is_published_without(manifest):
+        strange = outside(validity, features)
+    else:
+        strange = np.zeros(len(rows), dtype=np.bool_)
+
+    def describe(row: int) -> str:
+        """Name the features out of range, or the distance from the pushes that are known."""
+        clauses = in_words(validity, {name: float(values[row]) for name, values in features.items()})
+        general = f"start and aim together are unlike the pushes that this version knows{_distance(found, row, 0)}"
+        return f"{', and '.join(clauses) or general}{_note(manifest)}"
+
+    return _Judgement(WarningCode.UNFAMILIAR_PUSH, strange, describe)
+
+
+def _object(manifest: Manifest, count: int, contexts: Contexts, found: Gaussians) -> _Judgement:
+    """Judge which pushes are of objects outside of the domain."""
+    validity, index = validity_of(manifest), contexts.index
+    if found.unfamiliarity is None:
+        if not is_published_without(manifest) or index is None or contexts.kind is ContextKind.SHAPE:
+            return _Judgement(WarningCode.UNFAMILIAR_OBJECT, np.zeros(count, dtype=np.bool_), str)
+        unlike, of_context = unlike_omnipush(contexts.kind, contexts.tensors[0])
+        return _Judgement(
+            WarningCode.UNFAMILIAR_OBJECT, unlike[index], lambda row: f"{of_context(int(index[row]))}{_note(manifest)}"
+        )
+
+    def describe(row: int) -> str:
+        """Name the size out of range, or the distance from the objects that are known."""
+        size: dict[str, float] = {}
+        if index is not None and contexts.kind is ContextKind.SHAPE:
+            size = {SIZE: float(ShapeTensors(*contexts.tensors).body[index[row], BODY.index("size")])}
+        general = f"the object is unlike those that this version knows{_distance(found, row, 1)}"
+        return f"{''.join(in_words(validity, size)) or general}{_note(manifest)}"
+
+    return _Judgement(WarningCode.UNFAMILIAR_OBJECT, found.unfamiliarity[:, 1] > 1.0, describe)
+
+
+def _degrees(count: int, angles: Angles) -> _Judgement:
+    """Judge which pushes have an angle that may be one in degrees."""
+    columns = {name: np.broadcast_to(np.asarray(values, dtype=np.float64), count) for name, values in angles}
+    large = {name: np.abs(values) > _TURN_RAD for name, values in columns.items()}
+
+    def describe(row: int) -> str:
+        """Name the angle."""
+        name = next(name for name, mask in large.items() if mask[row])
+        value = float(columns[name][row])
+        meant = f"send {math.radians(value):.4g} if it is meant in degrees"
+        return f"{name}: {value:.6g} rad is more than a whole turn (2 pi). Angles are in rad: {meant}"
+
+    over = np.any(list(large.values()), axis=0) if large else np.zeros(count, dtype=np.bool_)
+    return _Judgement(WarningCode.ANGLE_LOOKS_LIKE_DEGREES, over, describe)
+
+
+def _centres_m(contexts: Contexts) -> DoubleArray:
+    """Return the centroid of each push's object (n, 2), or the origin (2,) for objects of Omnipush."""
+    if contexts.kind is not ContextKind.SHAPE:
+        return np.zeros(2)
+    return ShapeTensors(*contexts.tensors).body[contexts.index, :2].astype(np.float64)
+
+
+def _same(sentence: str, _: int) -> str:
+    return sentence
+
+
+def _distance(found: Gaussians, row: int, column: int) -> str:
+    return "" if found.unfamiliarity is None else f" (distance {found.unfamiliarity[row, column]:.3g}, known: up to 1)"
+
+
+def _note(manifest: Manifest) -> str:
+    validity = validity_of(manifest)
+    return "" if validity is None else f". {manifest.name}@{manifest.version} vouches for: {validity.note}"
