@@ -17,7 +17,7 @@ from typing import Any, Final
 import torch
 
 from service.model.predictor import OnnxPredictor
-from service.pushing.domain import PUSHING
+from service.pushing.gates import PUSHING
 from service.registry.loading import load_version
 from service.registry.promotion import judge
 from service.registry.registry import Registry

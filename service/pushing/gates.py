@@ -1,4 +1,6 @@
-"""Gates of push models: laws of physics that a version must obey before an alias may name it. They need no data.
+"""Planar pushing as a domain for the registry: the tensors of push models, and the gates that each must pass.
+
+Gates are laws of physics that a version must obey before an alias may name it. They need no data.
 
 Figures are in units of the published output deviations. A tolerance is the model's own held-out RMSE: a law is not
 broken by a prediction that misses it by the usual error of the model. Where two predictions are compared, each with
@@ -7,7 +9,7 @@ keep: a push that misses leaves the object exactly where it is.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Final
 
 import numpy as np
@@ -15,8 +17,9 @@ import numpy as np
 from service.model.domain import Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.self_check import stored_contexts
-from service.model.tensors import ContextKind, FloatArray
+from service.model.tensors import ContextKind, FloatArray, Tensor
 from service.pushing.contexts import ObjectContext
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, UNFAMILIARITY_SINCE, expected_inputs
 from service.pushing.outlines import Outline
 from service.pushing.poses import PUSH_LENGTH_M, DoubleArray, wrap_angles
 from service.pushing.shape_context import ShapeContext
@@ -159,3 +162,24 @@ def _rms(model: LoadedModel, difference: DoubleArray) -> float:
     """Return the root mean square over all pushes and the 3 outputs, in units of the published output deviations."""
     difference = np.concatenate([difference[..., :2], wrap_angles(difference[..., 2:])], axis=-1)
     return float(np.sqrt(np.mean((difference / np.array(model.manifest.normalisation.output_std)) ** 2)))
+
+
+class PushDomain:
+    """See ``service.model.domain.Domain``."""
+
+    def inputs(self, kind: ContextKind) -> tuple[Tensor, ...]:
+        """See ``Domain.inputs``."""
+        return expected_inputs(kind)
+
+    def outputs(self, kind: ContextKind, manifest_format: int) -> tuple[tuple[Tensor, ...], ...]:
+        """See ``Domain.outputs``."""
+        if kind is ContextKind.SHAPE:
+            return (OUTPUTS_WITH_UNFAMILIARITY,)
+        return (OUTPUTS,) if manifest_format < UNFAMILIARITY_SINCE else (OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY)
+
+    def gates(self, model: LoadedModel) -> Iterable[Verdict]:
+        """See ``Domain.gates``."""
+        return physics_gates(model)
+
+
+PUSHING: Final = PushDomain()

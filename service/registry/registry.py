@@ -17,7 +17,7 @@ from service.model.domain import Domain
 from service.model.manifest import MANIFEST_FILE, Manifest
 from service.model.reference import ModelReference, is_alias, is_name
 from service.model.strict_json import check_text
-from service.pushing.domain import PUSHING
+from service.pushing.gates import PUSHING
 from service.registry.draft import Draft
 from service.registry.verification import MAX_MODEL_BYTES, Requirements, Signatures, VerifiedVersion, verify
 from service.storage.base import MAX_SIGNATURE_BYTES, RegistryFinding, Storage, settled

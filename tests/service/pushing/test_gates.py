@@ -6,16 +6,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from service.model.domain import Verdict
+from service.model.domain import Domain, Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
-from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray
+from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray, Tensor
 from service.pushing.contexts import BITS_PER_SIDE, SIDES
-from service.pushing.gates import physics_gates
-from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
-from tests.fakes import SMALL, draft_manifest
+from service.pushing.gates import PUSHING, physics_gates
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
+from tests.fakes import SMALL, FakePredictor, draft_manifest
 from tests.served_graphs import shape_graph
+
+DOMAIN: Domain = PUSHING  # mypy checks here that the class fits the protocol
 
 
 @dataclass
@@ -129,3 +131,23 @@ def test_each_law_that_is_broken_is_refused_by_its_gate(flaw: str) -> None:
     verdict = next(verdict for verdict in verdicts if verdict.gate == flaw)
     assert verdict.figure > verdict.limit > 0.0
     assert f"{verdict.limit:.3f}" in verdict.meaning
+
+
+@pytest.mark.parametrize("kind", ContextKind)
+def test_the_domain_has_the_tensors_of_push_models(kind: ContextKind) -> None:
+    """A registry gets the inputs of each kind of context, and the outputs of every push model."""
+    assert DOMAIN.inputs(kind) == expected_inputs(kind)
+    older, newer = (DOMAIN.outputs(kind, number) for number in (2, 3))
+    with_distance = (*OUTPUTS, Tensor("unfamiliarity", "float32", ("n", 2), ("1", "1")))
+    if kind is ContextKind.SHAPE:
+        assert older == newer == (with_distance,)
+    else:
+        assert (older, newer) == ((OUTPUTS,), (OUTPUTS, with_distance))
+
+
+def test_the_domain_has_the_physics_gates() -> None:
+    """A registry gets the verdicts of the physics gates on a loaded version."""
+    model = LoadedModel(draft_manifest(), "", FakePredictor(b"", takes_context=True))
+    verdicts = list(DOMAIN.gates(model))
+    assert verdicts == list(physics_gates(model))
+    assert [verdict.gate for verdict in verdicts] == ["no-contact", "turned", "angle-at-pi"]

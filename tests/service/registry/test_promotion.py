@@ -8,7 +8,7 @@ import pytest
 from service.errors import ConflictError, UnknownModelError
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind
-from service.pushing.domain import PUSHING
+from service.pushing.gates import PUSHING
 from service.registry.promotion import is_forced, judge, promote, roll_back
 from service.registry.registry import NOWHERE, Registry
 from tests.fakes import draft_manifest, load_fake, publish_fake

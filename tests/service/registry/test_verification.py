@@ -7,7 +7,7 @@ import pytest
 from service.errors import BrokenModelError
 from service.model.manifest import CARD_FILE, MODEL_FILE, FileDigest, Manifest
 from service.model.tensors import Tensor
-from service.pushing.domain import PUSHING
+from service.pushing.gates import PUSHING
 from service.registry.verification import parse_manifest
 from tests.fakes import draft_manifest
 

@@ -16,7 +16,7 @@ from service.model.predictor import OnnxPredictor
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext, VisualContext
-from service.pushing.domain import PUSHING
+from service.pushing.gates import PUSHING
 from service.registry.loading import load_version
 from service.registry.promotion import judge
 from service.registry.registry import Registry
