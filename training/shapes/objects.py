@@ -9,7 +9,7 @@ from service.pushing.outlines import Outline
 from training.shapes.outlines import draw_outline
 from training.shapes.pieces import Point, between, log_between
 
-FRICTIONS: Final = (0.1, 0.6)  # of pusher and object
+FRICTIONS: Final = (0.1, 0.6)  # of pusher and object, as likely below 0.245 as above
 PUSHER_RADII_M: Final = (0.002, 0.015)
 LARGEST_PUSHER: Final = 0.25  # of the object's largest extent
 LOADED_SHARE: Final = 0.5  # of the objects, whose centre of mass is off the centroid
@@ -41,7 +41,7 @@ def draw_object(family: str, rng: np.random.Generator) -> DrawnObject:
         outline,
         _centre_of_mass_m(outline, rng),
         round(density_kg_m2 * outline.area_m2, _SHARE),
-        round(between(rng, *FRICTIONS), _SHARE),
+        round(log_between(rng, *FRICTIONS), _SHARE),
         round(log_between(rng, low_m, min(high_m, LARGEST_PUSHER * outline.extent_m)), _SHARE),
     )
 
