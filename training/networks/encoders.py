@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from service.pushing.contexts import VISUAL_SIZE
 from training.networks.methods import ContextDistance
+from training.networks.shape_features import BODY_INPUTS, CONTEXT_INPUTS
 
 CHANNELS: Final = 4  # the paper's
 KERNEL_HIDDEN: Final = 10
@@ -18,7 +19,9 @@ KERNEL_VISUAL: Final = 10  # phi of a visual context
 
 
 def context_encoder(context_shape: tuple[int, ...], width: int, channels: int = CHANNELS) -> nn.Module:
-    """Return the encoder of contexts (objects, *context_shape) to (objects, width): a dense layer or visual encoder."""
+    """Return the encoder of contexts (objects, *context_shape) to (objects, width): a dense, visual or shape encoder."""
+    if context_shape == (CONTEXT_INPUTS,):
+        return ShapeEncoder(width, channels)
     return nn.Linear(context_shape[0], width) if len(context_shape) == 1 else VisualEncoder(width, channels)
 
 
@@ -43,6 +46,21 @@ class VisualEncoder(nn.Module):
 
 def _convolution(entering: int, channels: int) -> tuple[nn.Module, ...]:
     return nn.Conv2d(entering, channels, 3, padding=1), nn.BatchNorm2d(channels), nn.ReLU(), nn.MaxPool2d(2)
+
+
+class ShapeEncoder(nn.Module):
+    """Encoder of shape contexts (objects, 1032): a visual encoder of the silhouette, plus a dense layer of the body."""
+
+    def __init__(self, width: int, channels: int = CHANNELS) -> None:
+        super().__init__()
+        self.silhouette = VisualEncoder(width, channels)
+        self.body = nn.Linear(BODY_INPUTS, width)
+
+    def forward(self, context: Tensor) -> Tensor:
+        """Encode contexts as (objects, width)."""
+        views = context[:, :-BODY_INPUTS].reshape(-1, 1, VISUAL_SIZE, VISUAL_SIZE)
+        encoded: Tensor = self.silhouette(views) + self.body(context[:, -BODY_INPUTS:])
+        return encoded
 
 
 class EuclideanDistance(nn.Module):

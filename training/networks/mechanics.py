@@ -31,6 +31,7 @@ from training.networks.contact import TINY, Edges, OutlineEdges, first_contact
 STEPS: Final = 5
 REST: Final = 0.02  # of the mean speed: a point that moves less is held by less than its whole friction
 _LEAST: Final = 1e-9
+_JAMMED: Final = 0.05  # below it the force that slides would rather jam the tip
 
 
 class Mechanics(NamedTuple):
@@ -167,7 +168,7 @@ class PushMechanics(nn.Module):
         sticking = (1.0 + a * a) * aside - a * b * into
         slope = sticking / torch.clamp((1.0 + b * b) * into - a * b * aside, min=_LEAST)
         slope = torch.minimum(torch.maximum(slope, -push.friction), push.friction)
-        along = into / (1.0 + a * a + a * b * slope)
+        along = into / torch.clamp(1.0 + a * a + a * b * slope, min=_JAMMED)
         turn = along * (a + b * slope) / arm
         moved = torch.cat([along * (normal + slope * tangent) - turn * (centre @ self.quarter), turn], dim=1)
         return torch.where(along > 0.0, moved, motion), moved

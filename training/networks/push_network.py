@@ -18,6 +18,7 @@ from training.networks.angles import FEATURES_ADDED, PushForm, features, from_pu
 from training.networks.encoders import CHANNELS, context_distance, context_encoder
 from training.networks.methods import ContextUse, Method
 from training.networks.mixed_precision import mixed_dense, mixed_first, mixed_last
+from training.networks.shape_features import CONTEXT_INPUTS, PUSH_INPUTS
 
 WIDTH: Final = 256
 POSE: Final = 3
@@ -38,6 +39,7 @@ PUSH_SHAPES: Final = {
     ContextKind.NONE: Shape((0,)),
     ContextKind.INDICATOR: Shape((INDICATOR_LENGTH,)),
     ContextKind.VISUAL: Shape((1, VISUAL_SIZE, VISUAL_SIZE)),
+    ContextKind.SHAPE: Shape((CONTEXT_INPUTS,), PUSH_INPUTS),
 }
 
 
