@@ -15,7 +15,7 @@ from service.model.reference import is_name
 from service.model.tensors import ContextKind
 from training.networks.angles import PushForm
 from training.networks.encoders import CHANNELS
-from training.networks.methods import METHODS, Method
+from training.networks.methods import METHODS, ContextUse, Method
 from training.omnipush.published import Split, all_objects, different_objects, different_surfaces, different_weights
 
 SET_UPS: Final[dict[str, Callable[[], Split]]] = {
@@ -24,6 +24,9 @@ SET_UPS: Final[dict[str, Callable[[], Split]]] = {
     "different-surfaces": different_surfaces,
     **{f"different-weights-{count}": partial(different_weights, count) for count in (0, 1, 2)},
 }
+DIFFERENT_FAMILIES: Final = "different-families"
+ALL_FAMILIES: Final = "all-families"
+SHAPE_SET_UPS: Final = (DIFFERENT_FAMILIES, ALL_FAMILIES)  # of tables of shapes, see shape_samples
 PRECISIONS: Final = ("auto", "float32", "bfloat16")
 
 
@@ -122,9 +125,12 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
             raise DataError(f"{where}: {key} is {value!r}; expected {getattr(kind, '__name__', kind)}")
     if values["method"] not in METHODS:
         raise DataError(f"{where}: method is {values['method']!r}; expected one of {', '.join(METHODS)}")
-    if values["set_up"] not in SET_UPS:
-        raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(SET_UPS)}")
-    kinds = [str(kind) for kind in ContextKind if METHODS[values["method"]].takes(kind)]
+    set_ups = SHAPE_SET_UPS if values["context"] == ContextKind.SHAPE else tuple(SET_UPS)
+    if values["set_up"] not in set_ups:
+        raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(set_ups)}")
+    method = METHODS[values["method"]]
+    kinds = [str(kind) for kind in ContextKind if method.takes(kind)]
+    kinds += [str(ContextKind.SHAPE)] if method.context_use is ContextUse.MASKED else []
     if values["context"] not in kinds:
         accepted = f"{' or '.join(kinds)} with {values['method']}"
         raise DataError(f"{where}: context is {values['context']!r}; expected {accepted}")

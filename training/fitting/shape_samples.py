@@ -18,6 +18,7 @@ from tqdm import tqdm
 from service.model.tensors import FloatArray, IndexArray
 from service.pushing.poses import DoubleArray
 from service.pushing.shape_context import FRICTION, PUSHER_RADIUS_M, ShapeContext
+from training.fitting.recipe import DIFFERENT_FAMILIES
 from training.fitting.samples import Samples, TrainingData
 from training.networks.mechanics import Mechanics, PushMechanics
 from training.networks.shape_features import context_inputs, push_inputs, residual_unit
@@ -25,9 +26,6 @@ from training.tables.push_table import PushTable
 from training.tables.reading import read_table
 from training.tables.splits import split_by_object
 
-DIFFERENT_FAMILIES: Final = "different-families"
-ALL_FAMILIES: Final = "all-families"
-SHAPE_SET_UPS: Final = (DIFFERENT_FAMILIES, ALL_FAMILIES)
 HELD_OUT_FAMILIES: Final = ("irregular-polygon", "T", "wrench", "bean")  # one of each kind
 HELD_OUT_SHARE: Final = 0.1  # of the objects of each family, for the conformal factor
 COPIES: Final = 2  # of each object, with different parts of its body known

@@ -35,7 +35,7 @@ class Method:
     def takes(self, kind: str) -> bool:
         """Return whether the method is trained with contexts of this kind. Methods without a context take ``none``.
 
-        Shapes have a network of their own.
+        The paper's tables have no shapes.
         """
         return kind != ContextKind.SHAPE and (kind == ContextKind.NONE) == (self.context_use is ContextUse.NONE)
 
