@@ -57,9 +57,9 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.inspection.tables": "service.errors service.pushing service.storage training.inspection "
         "training.omnipush training.tables",
         "training.fitting": "service.errors service.files service.model service.pushing service.storage "
-        "training.omnipush training.networks",
+        "training.omnipush training.tables training.networks",
         "training.publishing": "service.errors service.model service.pushing service.registry training.omnipush "
-        "training.networks training.fitting",
+        "training.tables training.networks training.fitting",
         "training.paper": "service.errors service.files service.model service.storage service.bulk training.omnipush "
         "training.networks training.fitting",
         "training.recipes": "",

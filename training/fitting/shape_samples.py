@@ -141,7 +141,11 @@ def mechanics_of(batch: ShapeBatch, quiet: bool = False) -> Mechanics:
 
 def _motions(batch: ShapeBatch, body: torch.Tensor) -> torch.Tensor:
     """Return the motions (n, 3) of centroids in push frames, in sizes, and yaws, that outcomes (n, 3) are."""
-    centroid, size, angle = body[:, 0:2].double(), body[:, 2:3].double(), torch.from_numpy(batch.pusher[:, 2:3]).double()
+    centroid, size, angle = (
+        body[:, 0:2].double(),
+        body[:, 2:3].double(),
+        torch.from_numpy(batch.pusher[:, 2:3]).double(),
+    )
     outcome = torch.from_numpy(batch.outcomes)
     yaw = outcome[:, 2:]
 
@@ -194,4 +198,3 @@ def shape_training_data(table: PushTable, split: ShapeSplit, seed: int, quiet: b
     train = shape_samples(split.train, [draw_known(split.train, rng) for _ in range(COPIES)], quiet)
     held_out = shape_samples(split.held_out, [draw_known(split.held_out, rng)], quiet)
     return TrainingData(train, held_out, {"source": table.source, "sha256": table.digest})
-

@@ -19,7 +19,7 @@ KERNEL_VISUAL: Final = 10  # phi of a visual context
 
 
 def context_encoder(context_shape: tuple[int, ...], width: int, channels: int = CHANNELS) -> nn.Module:
-    """Return the encoder of contexts (objects, *context_shape) to (objects, width): a dense, visual or shape encoder."""
+    """Return the encoder of contexts (objects, *context_shape) to (objects, width), by their shape."""
     if context_shape == (CONTEXT_INPUTS,):
         return ShapeEncoder(width, channels)
     return nn.Linear(context_shape[0], width) if len(context_shape) == 1 else VisualEncoder(width, channels)
