@@ -115,3 +115,34 @@ def visual_run(tmp_path_factory: pytest.TempPathFactory, viewed_pushes: Pushes, 
     visual = replace(recipe, name="push-visual", method="FCN + CM + NeuralReg", context="visual", lambda_2=1.0)
     fit(visual, TrainingData.of(visual.split(), visual.context_kind, viewed_pushes), folder, quiet=True)
     return folder
+
+
+@pytest.fixture(scope="session")
+def shapes_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a small table of drawn shapes of eight families. Tests must not change it."""
+    from service.bulk.executors import SerialExecutor
+    from training.shapes.dataset import ShapePlan, simulate_shapes
+
+    families = ("box", "L", "star", "mug", "irregular-polygon", "T", "wrench", "bean")
+    folder = tmp_path_factory.mktemp("shapes")
+    simulate_shapes(ShapePlan(objects=40, pushes=20, families=families), folder, SerialExecutor(), quiet=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def shape_recipe(recipe: "Recipe") -> "Recipe":
+    """Recipe of a masked network of shapes for two epochs."""
+    fields = {"name": "push-shape", "method": "FCN + CM", "context": "shape", "set_up": "different-families"}
+    return replace(recipe, **fields, epochs=2, lambda_1=0.0, lambda_2=0.0)
+
+
+@pytest.fixture(scope="session")
+def shape_run(tmp_path_factory: pytest.TempPathFactory, shapes_folder: Path, shape_recipe: "Recipe") -> Path:
+    """Finished run of the network of shapes. Tests must not change it."""
+    from training.fitting.shape_samples import read_shapes, shape_training_data
+    from training.fitting.training_loop import fit
+
+    folder = tmp_path_factory.mktemp("shape")
+    table, split = read_shapes(shapes_folder, shape_recipe.set_up)
+    fit(shape_recipe, shape_training_data(table, split, shape_recipe.seed, quiet=True), folder, quiet=True)
+    return folder

@@ -35,11 +35,11 @@ from training.tables.writing import write_table
 
 PUSH_LENGTHS_M: Final = (0.005, 0.120)
 ANYWHERE: Final = Approach(miss_share=0.1, central_share=0.0)
-# One of four bodies rests on a few feet, as on a rough plate. The others press evenly or at the rim, which keeps the
-# mean of any pressure where recordings have it. What is not known of a push is wider than between two repeats of it,
+# One of four bodies rests on a few feet, as on a rough plate. The others press evenly, which keeps the mean of any
+# pressure where recordings have it. What is not known of a push is wider than between two repeats of it,
 # because a frame that is off by half a millimetre is so in both (docs/log.md).
 ANY_PLATE: Final = replace(
-    RECORDED, pressures=("even", "even", "mixed", "few"), misplaced_m=0.0008, misplaced_rad=0.008, roughness=0.55
+    RECORDED, pressures=("even", "even", "even", "few"), misplaced_m=0.001, misplaced_rad=0.01, roughness=0.55
 )
 PARTS: Final = "parts"
 SURFACE: Final = "simulated"  # friction of a plate moves quasi-static objects alike, so it has no other name

@@ -40,7 +40,7 @@ def test_fit_of_an_unknown_recipe_lists_those_that_exist(data_folder: Path, tmp_
     """The error about an unknown recipe lists the recipes that ship."""
     line = sole_line(cazsl_train("fit", "push-smell", "--data", data_folder, "--run", tmp_path / "run"))
 
-    assert "paper, push-indicator, push-none, push-visual" in line
+    assert "paper, push-indicator, push-none, push-shape, push-visual" in line
 
 
 def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Recipes: those that ship with the trainer, and the field that is named when a recipe is refused."""
 
+import math
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -7,12 +8,13 @@ import pytest
 
 from service.errors import DataError
 from service.model.reference import is_name
+from service.model.tensors import ContextKind
 from training.fitting.recipe import Recipe, parse_recipe, parse_recipe_record, read_recipe, recipe_names
 from training.networks.methods import METHODS
 from training.omnipush.published import different_objects
 from training.paper.experiments import Cell, experiments
 
-SERVED = ["push-indicator", "push-none", "push-visual"]
+OMNIPUSH = ["push-indicator", "push-none", "push-visual"]
 
 
 def toml_of(values: dict[str, object]) -> str:
@@ -21,12 +23,12 @@ def toml_of(values: dict[str, object]) -> str:
     return "".join(f"{key} = {text}\n" for key, text in texts.items())
 
 
-def test_four_recipes_ship() -> None:
+def test_five_recipes_ship() -> None:
     """The paper's recipe and one recipe for each kind of context ship with the trainer."""
-    assert recipe_names() == ["paper", *SERVED]
+    assert recipe_names() == sorted(["paper", "push-shape", *OMNIPUSH])
 
 
-@pytest.mark.parametrize("name", SERVED)
+@pytest.mark.parametrize("name", OMNIPUSH)
 def test_a_served_recipe_augments_the_paper_s_method(name: str) -> None:
     """A served recipe has its model's name, held-out objects, symmetries, misses and the frame of the push."""
     found = read_recipe(name)
@@ -69,6 +71,7 @@ BEYOND_PAPER = {
     "no_contact": 0.1,
     "least_std": 0.02,
     "beta": 0.5,
+    "freedom": 3.0,
     "camera_views": 4,
     "encoder_channels": 8,
     "cooling_epochs": 2,
@@ -195,5 +198,21 @@ def test_a_file_that_is_not_toml_is_refused() -> None:
 )
 def test_an_unknown_recipe_lists_those_that_exist(name: str) -> None:
     """The error for an unknown recipe lists the name of every recipe that ships."""
-    with pytest.raises(DataError, match=r"paper, push-indicator, push-none, push-visual or a \.toml file"):
+    with pytest.raises(DataError, match=r"paper, push-indicator, push-none, push-shape, push-visual or a \.toml file"):
         read_recipe(name)
+
+
+def test_the_recipe_of_shapes_holds_families_out() -> None:
+    """The recipe of any shape masks by a shape, forgives outliers, and is measured on families never seen."""
+    found = read_recipe("push-shape")
+
+    assert (found.context_kind, found.set_up) == (ContextKind.SHAPE, "different-families")
+    assert found.network() is METHODS["FCN + CM"]
+    assert found.freedom > 0.0
+
+
+@pytest.mark.parametrize(("freedom", "beta"), [(0.5, 0.0), (-1.0, 0.0), (math.nan, 0.0), (math.inf, 0.0), (3.0, 0.5)])
+def test_an_impossible_freedom_is_refused_by_name(recipe: Recipe, freedom: float, beta: float) -> None:
+    """Student's t has 1 degree of freedom or more, and no weights of its own."""
+    with pytest.raises(DataError, match="freedom"):
+        parse_recipe_record({**asdict(recipe), "freedom": freedom, "beta": beta}, "here")
