@@ -63,7 +63,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.paper": "service.errors service.files service.model service.storage service.bulk training.omnipush "
         "training.networks training.fitting",
         "training.recipes": "",
-        "training.cli": "service.errors service.processors service.model service.registry service.bulk service.cli "
+        "training.cli": "service.errors service.files service.processors service.model service.registry service.bulk service.cli "
         "training.omnipush training.tables training.simulation training.shapes training.networks training.inspection "
         "training.inspection.tables training.fitting training.publishing training.paper",
     }.items()

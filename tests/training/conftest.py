@@ -132,8 +132,8 @@ def shapes_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def shape_recipe(recipe: "Recipe") -> "Recipe":
     """Recipe of a masked network of shapes for two epochs."""
-    fields = {"name": "push-shape", "method": "FCN + CM", "context": "shape", "set_up": "different-families"}
-    return replace(recipe, **fields, epochs=2, lambda_1=0.0, lambda_2=0.0)
+    shaped = replace(recipe, name="push-shape", method="FCN + CM", context="shape", set_up="different-families")
+    return replace(shaped, epochs=2, lambda_1=0.0, lambda_2=0.0)
 
 
 @pytest.fixture(scope="session")

@@ -61,7 +61,7 @@ def normalised(mean: FloatArray, std: FloatArray, batch: ShapeBatch) -> Predicti
 
 def touching(found: Predictions) -> Predictions:
     """Return the predictions of pushes that move the object. The others are exactly at rest."""
-    return found.select(found.mean.any(axis=1))
+    return found.select((found.mean != 0.0).any(axis=1))
 
 
 def region_factor(found: Predictions) -> float:

@@ -68,7 +68,7 @@ def test_publish_refuses_another_table_than_that_of_the_run(
 ) -> None:
     """Figures of a version are those of the data that it was trained on."""
     other = tmp_path / "other"
-    made = cazsl_train("simulate", "shapes", other, "--objects", 6, "--pushes", 4)
+    made = cazsl_train("simulate", "shapes", other, "--objects", "6", "--pushes", "4")
     assert made.exit_code == 0, made.output
     line = sole_line(cazsl_train("publish", shape_run, "--data", other, "--registry", tmp_path / "models"))
     assert str(other) in line

@@ -79,7 +79,7 @@ def test_outcomes_are_compared_across_the_cut_of_angles(shapes_folder: Path) -> 
     """An outcome just below pi is near a mean just above -pi."""
     table, _ = read_shapes(shapes_folder, ALL_FAMILIES)
     batch = shape_batch(table, np.zeros((len(table.objects), 3), dtype=np.bool_))
-    mean, std = np.zeros((table.count, 3)), np.ones((table.count, 3))
+    mean, std = (np.full((table.count, 3), value, dtype=np.float32) for value in (0.0, 1.0))
     mean[:, 2] = -np.pi + 0.01
     batch.outcomes[:, 2] = np.pi - 0.01
     found = normalised(mean, std, batch)

@@ -44,7 +44,7 @@ def test_inputs_have_the_sizes_that_networks_take() -> None:
 def test_inputs_have_no_unit_of_length() -> None:
     """Twice the object, the tip and the push have the same inputs."""
     once = inputs(CORNERS, PUSHES, (0.004, -0.002), 0.005)
-    twice = inputs(2.0 * CORNERS, PUSHES * [2.0, 2.0, 1.0, 2.0], (0.008, -0.004), 0.010)
+    twice = inputs(2.0 * CORNERS, PUSHES * np.array([2.0, 2.0, 1.0, 2.0]), (0.008, -0.004), 0.010)
     for one, other in zip(once, twice, strict=True):
         torch.testing.assert_close(one, other, atol=2e-4, rtol=1e-3)
 
@@ -53,7 +53,7 @@ def test_inputs_do_not_depend_on_the_origin() -> None:
     """An object whose frame has its origin elsewhere has the same inputs."""
     away = np.array([0.03, -0.08])
     here = inputs(CORNERS, PUSHES, (0.004, -0.002), 0.005)
-    there = inputs(CORNERS + away, PUSHES + [*away, 0.0, 0.0], (0.034, -0.082), 0.005)
+    there = inputs(CORNERS + away, PUSHES + np.array([*away, 0.0, 0.0]), (0.034, -0.082), 0.005)
     for one, other in zip(here, there, strict=True):
         torch.testing.assert_close(one, other, atol=5e-4, rtol=1e-3)
 

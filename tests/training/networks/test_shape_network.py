@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from service.model.tensors import ContextKind
 from service.pushing.outlines import Outline
 from service.pushing.shape_context import ShapeContext
 from tests.served_graphs import BOX, L_SHAPE, shape_tensors
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
 from training.networks.shape_network import LEAST_STD_M, LEAST_STD_RAD, ShapeDomain, ShapeNetwork
-from service.model.tensors import ContextKind
 
 PUSHES = np.array(
     [[-0.2, 0.005, 0.02, 0.2], [0.15, 0.1, -2.5, 0.25], [0.02, -0.2, 1.6, 0.22], [-0.2, 0.3, 0.0, 0.2]]
@@ -50,7 +50,7 @@ def test_twice_the_size_and_the_push_is_twice_the_answer(network: PushNetwork) -
     """Metres double, radians stay."""
     mean, std = answer(ShapeNetwork(network), ShapeContext(L_SHAPE, pusher_radius_m=0.004), PUSHES)
     large = ShapeContext(Outline.of(2.0 * L_SHAPE.corners), pusher_radius_m=0.008)
-    twice_mean, twice_std = answer(ShapeNetwork(network), large, PUSHES * [2.0, 2.0, 1.0, 2.0])
+    twice_mean, twice_std = answer(ShapeNetwork(network), large, PUSHES * np.array([2.0, 2.0, 1.0, 2.0]))
     assert twice_mean == pytest.approx(mean * [2.0, 2.0, 1.0], abs=3e-4)
     assert twice_std[:-1] == pytest.approx(std[:-1] * [2.0, 2.0, 1.0], rel=0.03)
 
@@ -60,7 +60,7 @@ def test_another_origin_is_another_frame_of_the_same_motion(network: PushNetwork
     away = np.array([0.05, -0.02])
     there = Outline.of(L_SHAPE.corners + away)
     mean, _ = answer(ShapeNetwork(network), ShapeContext(L_SHAPE), PUSHES)
-    moved, std = answer(ShapeNetwork(network), ShapeContext(there), PUSHES + [*away, 0.0, 0.0])
+    moved, std = answer(ShapeNetwork(network), ShapeContext(there), PUSHES + np.array([*away, 0.0, 0.0]))
     assert moved[:, 2] == pytest.approx(mean[:, 2], abs=5e-4)
     turn = mean[:, 2]
     turned = np.stack(
