@@ -63,9 +63,9 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.paper": "service.errors service.files service.model service.storage service.bulk training.omnipush "
         "training.networks training.fitting",
         "training.recipes": "",
-        "training.cli": "service.errors service.files service.processors service.model service.registry service.bulk service.cli "
-        "training.omnipush training.tables training.simulation training.shapes training.networks training.inspection "
-        "training.inspection.tables training.fitting training.publishing training.paper",
+        "training.cli": "service.errors service.files service.processors service.model service.registry service.bulk "
+        "service.cli training.omnipush training.tables training.simulation training.shapes training.networks "
+        "training.inspection training.inspection.tables training.fitting training.publishing training.paper",
     }.items()
 }
 # Modules that import more than their package may: the transport of ``Client.local``, which answers in this process.
