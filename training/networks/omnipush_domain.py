@@ -15,6 +15,7 @@ from service.pushing.contexts import BITS_PER_SIDE, SIDES, VISUAL_SIZE
 from training.networks.familiarity import FeatureRanges, FeatureSpace
 
 PUSH_FEATURES: Final = ("start_distance_m", "aim_offset_m")
+_AIM: Final = PUSH_FEATURES.index("aim_offset_m")
 WEIGHT_FEATURES: Final = ("weights",)
 EXPOSURE_FEATURES: Final = ("view_mean", "view_contrast")
 VIEW_AXES: Final = 96
@@ -43,6 +44,7 @@ class OmnipushDomain(nn.Module):
         and mirrored forms.
         """
         self.pushes.fit(push_features(pushers))
+        self.pushes.low[_AIM] = -self.pushes.high[_AIM]  # on either side; training pushes only come close to zero
         if self.kind is ContextKind.INDICATOR:
             self.objects.fit(weights(contexts), margin=0.1)
         if self.views is not None:

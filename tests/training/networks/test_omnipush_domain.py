@@ -51,6 +51,16 @@ def test_starts_beyond_the_training_data_are_unfamiliar(kind: ContextKind) -> No
     assert (domain(asked, *given)[:, 0] > 1.0).tolist() == [False, True, True]
 
 
+def test_a_push_straight_at_the_centre_is_familiar() -> None:
+    """An aim of zero is in the middle of the domain, although the training pushes only come close to the centre."""
+    close = torch.tensor([[0.05, 0.001, math.pi], [0.0, 0.12, 0.0]])
+    domain = OmnipushDomain(ContextKind.NONE).fit(close, torch.zeros(2, 0))
+
+    assert domain(torch.tensor([[-0.085, 0.0, 0.0]]))[:, 0].item() < 0.01
+    low, high = domain.ranges()["aim_offset_m"]
+    assert low == -high
+
+
 def test_more_weights_than_in_training_are_unfamiliar() -> None:
     """An object with two weights is inside if the training objects have up to two. Three are outside."""
     domain = OmnipushDomain(ContextKind.INDICATOR).fit(PUSHERS, indicators("1a1a3a4a", "1b2C3a4a"))
