@@ -4,12 +4,14 @@
         [--registry models] [--out docs/results/bands]
 
 Each RUN holds objects out. Its predictions of them are calibrated as for publication, and shown by ring of starts and
-band of aims, beside those of the first published version on the same pushes. Then the domain of the run's training
-objects is asked about queries inside (pushes and views of the held-out objects) and outside of it (starts too near and
-too far, objects with more weights, pictures of other things). With --out the page is written to a folder.
+band of aims, beside those of the last version that learnt a ring of starts only, on the same pushes. Then the domain of
+the run's training objects is asked about queries inside (pushes and views of the held-out objects) and outside of it
+(starts too near and too far, objects with more weights, pictures of other things). With --out the page is written to a
+folder, with the figures of the goals beside it.
 """
 
 import argparse
+import json
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,7 +28,7 @@ from service.pushing.contexts import SHAPE_DIGITS, VISUAL_SIZE, WEIGHT_LETTERS, 
 from service.pushing.images import FIELD_OF_VIEW_M, GreyImage, visual_context
 from service.registry.loading import load_version
 from service.registry.registry import Registry
-from training.fitting.bands import bands, calibrated, held_out_views
+from training.fitting.bands import CAMERA, LEVEL, bands, calibrated, held_out_views
 from training.fitting.evaluation import Predictions, joined
 from training.fitting.recipe import Recipe
 from training.fitting.run_folder import load_run
@@ -60,6 +62,18 @@ def coverage_rows(name: str, found: Predictions) -> list[str]:
         + " |"
         for band, pushes, figures in each
     ]
+
+
+def summary(name: str, found: dict[str, Predictions]) -> dict[str, float]:
+    """Return the figures of a model's goals: the least and most that 90 % intervals hold in a band, in per cent.
+
+    For a model of views also its RMSE on camera views over that on drawings.
+    """
+    shares = [100.0 * band.found.coverage[LEVEL] for each in found.values() for band in bands(each)]
+    figures = {f"{name}_low": min(shares), f"{name}_high": max(shares)}
+    if CAMERA in found:
+        figures["camera"] = found[CAMERA].measures().rmse / found[""].measures().rmse
+    return figures
 
 
 def rival(registry: Registry, name: str, samples: Samples) -> dict[str, Predictions]:
@@ -163,9 +177,12 @@ def _any(drawings: list[View], rng: np.random.Generator) -> View:
     return drawings[int(rng.integers(len(drawings)))]
 
 
-def page(runs: list[Path], folder: Path, views: Path | None, registry: Registry) -> str:
-    """Return the page: coverage by band of each run, then the queries inside and outside of its domain."""
-    coverage, unfamiliar, source = [], [], ""
+def page(runs: list[Path], folder: Path, views: Path | None, registry: Registry) -> tuple[str, dict[str, float]]:
+    """Return the page and the figures of the goals.
+
+    The page has coverage by band of each run, then the queries inside and outside of its domain.
+    """
+    coverage, unfamiliar, source, goals = [], [], "", dict[str, float]()
     for run in runs:
         recipe, network, _ = load_run(run)
         if not isinstance(network, PushNetwork):
@@ -176,14 +193,16 @@ def page(runs: list[Path], folder: Path, views: Path | None, registry: Registry)
         samples = Samples.of(held_out, recipe.context_kind)
         for kind, found in rival(registry, recipe.name, samples).items():
             coverage += coverage_rows(f"{recipe.name} {RIVALS[recipe.name]} {kind}".strip(), found)
-        for kind, found in calibrated(network, samples).predictions.items():
-            coverage += coverage_rows(f"**{recipe.name}, new** {kind}".strip(), found)
+        new = calibrated(network, samples).predictions
+        goals |= summary(recipe.name, new)
+        for kind, found in new.items():
+            coverage += coverage_rows(f"**{recipe.name} {RIVALS[recipe.name] + 1}** {kind}".strip(), found)
         domain = domain_of(pushes.select(split.train), recipe.context_kind)
         unfamiliar += [
             f"| {recipe.name} | {kind} | {n} | {100 * share:.1f} |"
             for kind, n, share in _asked(recipe, domain, held_out)
         ]
-    return _PAGE.format(source=source, coverage="\n".join(coverage), unfamiliar="\n".join(unfamiliar))
+    return _PAGE.format(source=source, coverage="\n".join(coverage), unfamiliar="\n".join(unfamiliar)), goals
 
 
 def _asked(recipe: Recipe, domain: OmnipushDomain, held_out: Pushes) -> Rows:
@@ -197,10 +216,13 @@ def _asked(recipe: Recipe, domain: OmnipushDomain, held_out: Pushes) -> Rows:
 
 _PAGE: Final = """# Bands: where the models of Omnipush's objects are right about themselves
 
-Written by `python -m benchmarks.bands`, see [benchmarks](../../../benchmarks/README.md). Data: {source}. Figures are of
-the 50 held-out objects of `different-objects`. The new versions were trained on the other 200 for these figures, and
-calibrated: each half of the 50 with the factor of the other half. The versions before were trained on a ring of starts,
-on all 250 objects. `camera` is the same pushes with four camera views of each object as contexts.
+Written by `python -m benchmarks.bands`, see [benchmarks](../../../benchmarks/README.md), from
+{source}.
+
+Figures are of the 50 held-out objects of `different-objects`. The published versions (in bold) learnt all 250 objects,
+so these are of the same recipe, trained on the other 200 and calibrated: each half of the 50 with the factor of the
+other half. The versions before learnt a ring of starts, 75 to 85 mm from the centre with aims within 24 mm, in the
+simulation of their day, of all 250 objects. `camera` is the same pushes with four camera views of each object.
 
 Start is the distance of the tip from the object's centre, aim the distance of the push's line from it.
 
@@ -228,11 +250,13 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--registry", type=Path, default=Path("models"))
     parser.add_argument("--out", type=Path)
     options = parser.parse_args(arguments)
-    text = page(options.runs, options.data, options.views, Registry(options.registry))
+    text, goals = page(options.runs, options.data, options.views, Registry(options.registry))
     print(text)
     if options.out is not None:
         options.out.mkdir(parents=True, exist_ok=True)
         (options.out / "README.md").write_text(text, encoding="utf-8")
+        rounded = {name: round(figure, 4) for name, figure in goals.items()}
+        (options.out / "figures.json").write_text(json.dumps({"summary": rounded}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

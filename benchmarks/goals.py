@@ -96,6 +96,11 @@ def ratio_of(words: str) -> Callable[[Any], float]:
     return lambda document: float(next(value for name, value in document["summary"].items() if name.endswith(words)))
 
 
+def ring(key: str, text: str, low: float = -math.inf, high: float = math.inf, unit: str = "") -> Goal:
+    """Return a goal of the models of Omnipush's objects."""
+    return Goal(key, text, RINGS, "bands/figures.json", summarised(key), low, high, unit)
+
+
 def goals() -> dict[str, tuple[Goal, ...]]:
     """Return the goals by section."""
     recorded_file, bands_file = "real-pushes/figures.json", "shape-bands/figures.json"
@@ -180,23 +185,12 @@ def goals() -> dict[str, tuple[Goal, ...]]:
             ratio_of("outline alone"),
         ),
     )
+    names = ("push-indicator", "push-none", "push-visual")
+    bands = "90 % intervals hold at {} % in every ring of starts and band of aims"
     older = (
-        *(
-            Goal(
-                f"{name}_{side}",
-                f"{name}: 90 % intervals hold {words} in every ring of starts, band of aims",
-                RINGS,
-                low=low,
-                high=high,
-                unit=" %",
-            )
-            for name in ("push-indicator", "push-none", "push-visual")
-            for side, words, low, high in (
-                ("low", "at least 87 %", 87.0, math.inf),
-                ("high", "at most 93 %", -math.inf, 93.0),
-            )
-        ),
-        Goal("camera", "push-visual: RMSE on camera views at most 1.10 times that on clean ones", RINGS, high=1.10),
+        *(ring(f"{name}_low", f"{name}: {bands.format('least 87')}", low=87.0, unit=" %") for name in names),
+        *(ring(f"{name}_high", f"{name}: {bands.format('most 93')}", high=93.0, unit=" %") for name in names),
+        ring("camera", "push-visual: RMSE on camera views at most 1.10 times that on clean ones", high=1.10),
     )
     service = (
         Goal(

@@ -21,6 +21,7 @@ from PIL import Image
 
 from service import errors
 from service.cli.main import main
+from service.model.reference import ModelReference
 from service.registry.registry import Registry
 from tests.documented_api import listed_errors
 from tests.running_service import ROOT, free_port, serve
@@ -125,16 +126,15 @@ def commands(page: str) -> list[str]:
 
 @pytest.fixture
 def workplace(tmp_path: Path) -> tuple[Path, dict[str, str]]:
-    """Return a folder with the shipped models, two more versions and a file of pushes, and an environment for cazsl."""
+    """Return a folder with the shipped models, one more version and a file of pushes, and an environment for cazsl."""
     (tmp_path / "bin").mkdir()
     command = tmp_path / "bin" / "cazsl"
     command.write_text(f"#!{sys.executable}\nfrom service.cli.main import main\nmain()\n", encoding="utf-8")
     command.chmod(0o755)
     shutil.copytree(ROOT / "models", tmp_path / "models")
     registry = Registry(tmp_path / "models")
-    second = registry.read("push-indicator", 2)
-    for _ in range(2):
-        registry.publish(second.manifest, second.model, second.card)
+    champion = registry.read("push-indicator", registry.resolve(ModelReference.parse("push-indicator")))
+    registry.publish(champion.manifest, champion.model, champion.card)
     columns = {"x_m": [-0.08], "y_m": [0.0], "angle_rad": [0.0], "descriptor": ["1a2b3c4a"]}
     pq.write_table(pa.table(columns), tmp_path / "pushes.parquet")
     path = f"{tmp_path / 'bin'}:{Path(sys.executable).parent}:{os.environ['PATH']}"

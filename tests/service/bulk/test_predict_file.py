@@ -59,7 +59,7 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def model(project_root: Path) -> ModelParts:
     """The shipped model for descriptors."""
-    verified = Registry(project_root / "models").read("push-indicator", 2)
+    verified = Registry(project_root / "models").read("push-indicator", 3)
     return ModelParts(verified.manifest, verified.model)
 
 
@@ -115,7 +115,7 @@ def test_file_metadata_name_the_model(expected: bytes) -> None:
     metadata = pq.read_schema(pa.BufferReader(expected)).metadata
     assert {key: metadata[key.encode()] for key in ("cazsl.model", "cazsl.version", "cazsl.frame")} == {
         "cazsl.model": b"push-indicator",
-        "cazsl.version": b"2",
+        "cazsl.version": b"3",
         "cazsl.frame": b"object",
     }
 
@@ -153,7 +153,7 @@ def test_command_prints_its_speed_and_the_next_step(tmp_path: Path, registry: Pa
     """The command prints rows, model, rows per second and the path of the result."""
     result = predict(table(100), tmp_path / "out.parquet", registry)
     assert result.exit_code == 0, result.output
-    assert result.stdout.startswith("100 pushes by push-indicator@2 in ")
+    assert result.stdout.startswith("100 pushes by push-indicator@3 in ")
     assert " rows/s, 1 job\nnext: read " in result.stdout
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in.parquet", "out.parquet"]
 
@@ -161,14 +161,14 @@ def test_command_prints_its_speed_and_the_next_step(tmp_path: Path, registry: Pa
 @pytest.mark.parametrize(
     ("columns", "options", "by"),
     [
-        ({"descriptor": None}, (), "push-none@1"),
-        ({"descriptor": pa.array(["1a2b3c4a"] * 5).dictionary_encode()}, (), "push-indicator@2"),
-        ({"descriptor": None, "visual": [bytes(1024)] * 5}, (), "push-visual@1"),
-        ({"descriptor": None, "visual": pa.array([bytes(1024)] * 5, pa.binary(1024))}, (), "push-visual@1"),
-        ({"visual": [bytes(1024)] * 5}, ("--model", "push-visual"), "push-visual@1"),
-        ({"x_m": np.zeros(5, dtype=np.float32), "y_m": np.zeros(5, dtype=int)}, (), "push-indicator@2"),
+        ({"descriptor": None}, (), "push-none@2"),
+        ({"descriptor": pa.array(["1a2b3c4a"] * 5).dictionary_encode()}, (), "push-indicator@3"),
+        ({"descriptor": None, "visual": [bytes(1024)] * 5}, (), "push-visual@2"),
+        ({"descriptor": None, "visual": pa.array([bytes(1024)] * 5, pa.binary(1024))}, (), "push-visual@2"),
+        ({"visual": [bytes(1024)] * 5}, ("--model", "push-visual"), "push-visual@2"),
+        ({"x_m": np.zeros(5, dtype=np.float32), "y_m": np.zeros(5, dtype=int)}, (), "push-indicator@3"),
         ({}, ("--model", "push-indicator@1"), "push-indicator@1"),
-        ({}, ("--model", "push-none"), "push-none@1"),
+        ({}, ("--model", "push-none"), "push-none@2"),
     ],
     ids=["no object", "categories", "views", "views of fixed size", "both", "other numbers", "version", "ignored"],
 )
