@@ -15,12 +15,13 @@ from service.model.predictor import OnnxPredictor, Predictor
 from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, Gaussians
 from service.pushing.contexts import ObjectContext
-from service.pushing.onnx_interface import OUTPUTS, expected_inputs
+from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from service.registry.registry import Registry
 from service.transport.threads import ThreadPool
 from tests.served_graphs import random_question, served_predictor
 
 NONE, INDICATOR = ((expected_inputs(kind), OUTPUTS) for kind in (ContextKind.NONE, ContextKind.INDICATOR))
+CHAMPION = expected_inputs(ContextKind.INDICATOR), OUTPUTS_WITH_UNFAMILIARITY
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def shipped(project_root: Path) -> bytes:
 @pytest.fixture(scope="module")
 def predictor(shipped: bytes) -> Predictor:
     """Return the predictor of the champion."""
-    return OnnxPredictor(shipped, *INDICATOR)
+    return OnnxPredictor(shipped, *CHAMPION)
 
 
 def pushes(count: int) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
@@ -47,11 +48,12 @@ def pushes(count: int) -> tuple[np.ndarray, tuple[np.ndarray, ...], np.ndarray]:
 
 
 def test_a_batch_gives_a_mean_and_a_positive_std_per_push(predictor: Predictor) -> None:
-    """A prediction has a mean and a positive std, in float32, for every push."""
+    """A prediction has a mean, a positive std and two distances from the domain, in float32, for every push."""
     mean, std, unfamiliarity = predictor.predict(*pushes(7))
-    assert unfamiliarity is None
+    assert unfamiliarity is not None
+    assert unfamiliarity.shape == (7, 2)
     assert mean.shape == std.shape == (7, 3)
-    assert mean.dtype == std.dtype == np.float32
+    assert mean.dtype == std.dtype == unfamiliarity.dtype == np.float32
     assert (std > 0).all()
 
 
@@ -182,7 +184,7 @@ def test_a_run_whose_answer_is_late_ends_at_the_next_node() -> None:
 
 def test_all_sessions_share_one_arena(shipped: bytes) -> None:
     """The memory of a large call serves the calls of other versions, so eight of them keep no more than one."""
-    predictors = [OnnxPredictor(shipped, *INDICATOR) for _ in range(9)]
+    predictors = [OnnxPredictor(shipped, *CHAMPION) for _ in range(9)]
     asked = pushes(4000)
     predictors[0].predict(*asked)
     before = resident_bytes()
