@@ -22,26 +22,8 @@ def gaussian_nll(
     per_output = 0.5 * scaled * scaled + log_std + 0.5 * math.log(2.0 * math.pi)
     if beta > 0.0:
         per_output = per_output * torch.exp(2.0 * beta * log_std.detach())
-    return _average(per_output, valid, pushes)
-
-
-def student_nll(
-    mean: Tensor, log_scale: Tensor, target: Tensor, valid: Tensor, freedom: float, pushes: Tensor | None = None
-) -> Tensor:
-    """Return the negative log likelihood of Student's t with these degrees of freedom, averaged like ``gaussian_nll``.
-
-    An outcome far off pulls the mean less than with a Gaussian (Lange et al., 1989).
-    """
-    scaled = (target - mean) * torch.exp(-log_scale)
-    constant = math.lgamma(0.5 * freedom) - math.lgamma(0.5 * (freedom + 1.0)) + 0.5 * math.log(freedom * math.pi)
-    per_output = 0.5 * (freedom + 1.0) * torch.log1p(scaled * scaled / freedom) + log_scale + constant
-    return _average(per_output, valid, pushes)
-
-
-def _average(per_output: Tensor, valid: Tensor, pushes: Tensor | None) -> Tensor:
-    """Average over valid pushes, or over ``pushes`` of a whole batch, and their outputs."""
     pushes = valid.sum() if pushes is None else pushes
-    return (per_output * valid[..., None]).sum() / (pushes * per_output.shape[-1])
+    return (per_output * valid[..., None]).sum() / (pushes * target.shape[-1])
 
 
 def context_regulariser(

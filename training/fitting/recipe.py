@@ -52,7 +52,6 @@ class Recipe:
     no_contact: float = 0.0  # share of pushes that are replaced by pushes without contact
     least_std: float = 0.0  # added to every predicted std, normalised: the noise that remains with a perfect model
     beta: float = 0.0  # of beta-NLL: the likelihood of a push is weighted by its std to the power 2 beta
-    freedom: float = 0.0  # degrees of freedom of Student's t, whose likelihood forgives outliers (0: a Gaussian)
     camera_views: int = 0  # of each object of a visual context; an epoch shows each object by one view or its drawing
     encoder_channels: int = CHANNELS  # of the convolutions that encode a view
     cooling_epochs: int = 0  # last epochs, over which the learning rate falls to 0 along half a cosine
@@ -159,8 +158,6 @@ def _check_beyond_paper(recipe: Recipe, where: str) -> None:
         raise DataError(f"{where}: least_std is {recipe.least_std}; expected 0 or more")
     if not 0.0 <= recipe.beta <= 1.0:
         raise DataError(f"{where}: beta is {recipe.beta}; expected 0 to 1")
-    if recipe.freedom != 0.0 and not (1.0 <= recipe.freedom <= 1000.0 and recipe.beta == 0.0):
-        raise DataError(f"{where}: freedom is {recipe.freedom}; expected 0, or 1 to 1000 with a beta of 0")
     if recipe.encoder_channels < 1:
         raise DataError(f"{where}: encoder_channels is {recipe.encoder_channels}; expected 1 or more")
     if recipe.camera_views < 0 or (recipe.camera_views > 0 and recipe.context_kind is not ContextKind.VISUAL):

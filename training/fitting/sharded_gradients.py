@@ -16,7 +16,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-from training.fitting.losses import context_regulariser, gaussian_nll, student_nll
+from training.fitting.losses import context_regulariser, gaussian_nll
 from training.fitting.recipe import Recipe
 from training.fitting.samples import Samples
 from training.networks.push_network import PushNetwork
@@ -75,11 +75,7 @@ def set_gradients(
         """Run a shard forward and backward through the layers that take every push."""
         given = [] if conditioning is None else [conditioning.detach()[objects].requires_grad_()]
         mean, log_std = network.conditioned(batch.inputs[objects], given[0] if given else None, dtype)
-        targets, valid = batch.targets[objects], batch.valid[objects]
-        if recipe.freedom > 0.0:
-            likelihood = student_nll(mean, log_std, targets, valid, recipe.freedom, samples)
-        else:
-            likelihood = gaussian_nll(mean, log_std, targets, valid, samples, recipe.beta)
+        likelihood = gaussian_nll(mean, log_std, batch.targets[objects], batch.valid[objects], samples, recipe.beta)
         gradients = torch.autograd.grad(likelihood, [*layers, *given])
         return ShardGradients(likelihood.detach(), gradients[: len(layers)], gradients[len(layers) :])
 

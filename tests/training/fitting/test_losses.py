@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tests.training import reference_equations
 from tests.training.reference_equations import array_of
-from training.fitting.losses import context_regulariser, gaussian_divergence, gaussian_nll, student_nll
+from training.fitting.losses import context_regulariser, gaussian_divergence, gaussian_nll
 from training.networks.encoders import EuclideanDistance, KernelDistance
 
 ALL_VALID = torch.ones(2, 3)
@@ -48,27 +48,6 @@ def test_padding_does_not_count() -> None:
     expected = gaussian_nll(mean[present][None], log_std[present][None], target[present][None], torch.ones(1, 3))
     assert found.item() == pytest.approx(expected.item(), rel=1e-6)
     assert gaussian_nll(mean, log_std, junk, valid).item() == found.item()
-
-
-def test_students_likelihood_is_that_of_the_library() -> None:
-    """The loss is minus the log of Student's t with a location and a scale, as torch's own distribution has it."""
-    mean, log_scale, target = (normals(2, 3, 3, seed=seed) for seed in (1, 2, 3))
-    density = torch.distributions.StudentT(3.0, mean, log_scale.exp())
-    expected = -density.log_prob(target).mean()  # type: ignore[no-untyped-call]
-
-    assert student_nll(mean, log_scale, target, ALL_VALID, 3.0).item() == pytest.approx(expected.item(), rel=1e-5)
-
-
-def test_an_outlier_pulls_the_mean_less_with_students_likelihood() -> None:
-    """The slope of a Gaussian grows with the distance, and that of Student's t falls."""
-    far, unit, valid = torch.full((1, 1, 1), 50.0), torch.zeros(1, 1, 1), torch.ones(1, 1)
-    slopes = []
-    for freedom in (3.0, 0.0):
-        mean = torch.zeros(1, 1, 1, requires_grad=True)
-        loss = student_nll(mean, unit, far, valid, freedom) if freedom else gaussian_nll(mean, unit, far, valid)
-        slopes.append(-torch.autograd.grad(loss, mean)[0].item())
-    assert 0.0 < slopes[0] < 0.1
-    assert slopes[1] == pytest.approx(50.0)
 
 
 def contexts(kind: str, objects: int) -> Tensor:
