@@ -7,7 +7,7 @@ VERSION = $(shell sed -n 's/^__version__ = "\(.*\)"/\1/p' service/__init__.py)
 lock = $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--custom-compile-command 'make lock' $(2) --output-file deploy/locks/$(1).txt
 
-.PHONY: help serve data train test lowest fuzz check format openapi lock image size sbom clean
+.PHONY: help serve data shapes train test lowest fuzz check format openapi lock image size sbom clean
 .DEFAULT_GOAL := help
 
 help: ## list the targets
@@ -37,11 +37,15 @@ serve: $(VENV)/serving ## serve models/ on 127.0.0.1:8000 (no torch needed)
 data: $(VENV)/training ## simulate the default datasets into data/approach
 	$(BIN)/cazsl-train simulate
 
+shapes: $(VENV)/training ## simulate pushes of drawn shapes into data/shapes: ten minutes
+	$(BIN)/cazsl-train simulate shapes
+
 MODEL := push-indicator
-train: data ## fit MODEL, measure it, fit it again on all objects, publish its next version
+SHAPED := $(filter push-shape,$(MODEL))
+train: $(if $(SHAPED),shapes,data) ## fit MODEL, measure it, fit it again on all objects, publish its next version
 	$(BIN)/cazsl-train fit $(MODEL)
 	$(BIN)/cazsl-train evaluate runs/$(MODEL)
-	$(BIN)/cazsl-train fit $(MODEL) --set-up all-objects --run runs/$(MODEL)-all
+	$(BIN)/cazsl-train fit $(MODEL) --set-up all-$(if $(SHAPED),families,objects) --run runs/$(MODEL)-all
 	$(BIN)/cazsl-train publish runs/$(MODEL)-all --measured runs/$(MODEL)
 
 # The tests of a module run in one process, for the fixtures that they share (tests/conftest.py).
