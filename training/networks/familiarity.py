@@ -28,13 +28,13 @@ class FeatureRanges(nn.Module):
     def fit(self, features: Tensor, left_out: float = 0.0, margin: float = 0.0) -> "FeatureRanges":
         """Take the ranges of training features (n, f), without a share ``left_out`` at each end.
 
-        ``margin`` widens each range at both ends, by a share of its width.
+        ``margin`` widens each range at both ends, by a share of its width. A range without negative values stays so.
         """
         ordered = features.sort(dim=0).values
         skipped = int(left_out * len(ordered))
         low, high = ordered[skipped], ordered[len(ordered) - 1 - skipped]
         room = margin * (high - low)
-        self.low.copy_(low - room)
+        self.low.copy_(torch.where(low >= 0.0, torch.clamp(low - room, min=0.0), low - room))
         self.high.copy_(high + room)
         return self
 

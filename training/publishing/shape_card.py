@@ -27,12 +27,13 @@ def render_shape_card(draft: Manifest, figures: ShapeFigures, parity: float, sco
 
 Predicts where an object of any outline ends up after a straight push of any length, as a Gaussian over its planar pose
 (m, m, rad) in the caller's frame. Method: **{draft.method}**, context: **{draft.context_kind}** (CAZSL), as a residual
-on quasi-static mechanics of an object that rests on evenly spread points. Pushes that miss are exactly at rest.
+on quasi-static mechanics of an object that presses evenly. Pushes that miss are exactly at rest.
 
 ## Data
 
-Trained on **{data.source}**: {data.train_objects} objects, {data.train_pushes} pushes, split `{data.split}`. The data
-hold no recorded push. sha256 of the content: `{data.sha256}`.
+Trained on **{data.source}**:
+{data.train_objects} objects, {data.train_pushes} pushes, split `{data.split}`. The data hold no recorded push. sha256 of
+the content: `{data.sha256}`.
 
 ## Training
 
@@ -42,8 +43,8 @@ Parameters of the last epoch of this recipe:
 
 ## Held-out objects
 
-Figures of the recipe with the families {", ".join(HELD_OUT_FAMILIES)} and a tenth of the other objects held out. Parts
-of each body are known at random. Only pushes that touch count.
+Figures of the recipe with the families {", ".join(HELD_OUT_FAMILIES)} and a tenth of the other
+objects held out. Parts of each body are known at random. Only pushes that touch count.
 
 | | pushes | RMSE | NLL | 90 % intervals | 50, 90, 95 % regions |
 |---|---|---|---|---|---|
@@ -57,8 +58,9 @@ RMSE and NLL are in units of the published deviations of Omnipush. A region is t
 {scores}
 ## Domain
 
-This version vouches for {validity.note if validity else "no domain"}. The output `unfamiliarity` of its graph has the
-distance of each push, and of its object, from the training data: above 1 outside of the domain.
+This version vouches for {validity.note if validity else "no domain"}.
+The output `unfamiliarity` of its graph has the distance of each push, and of its object, from the training data: above
+1 outside of the domain.
 
 | feature | lowest | highest |
 |---|---|---|
@@ -66,8 +68,7 @@ distance of each push, and of its object, from the training data: above 1 outsid
 
 ## Limits
 
-- Every std is the network's own times {next(iter(draft.calibration.values())).scale:.3f}, a conformal factor from
-  held-out objects.
+- Every std is the network's own times {next(iter(draft.calibration.values())).scale:.3f}, a conformal factor from held-out objects.
 - The spread of pressure under an object is not known. If it is far from even, the object turns otherwise.
 - Torch and onnxruntime agree within {parity:.1e} (SI units, 98 % of random pushes).
 """

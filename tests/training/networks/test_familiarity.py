@@ -29,11 +29,11 @@ def test_the_feature_that_is_furthest_out_counts() -> None:
 
 def test_ranges_have_names_for_the_manifest() -> None:
     """The ranges by name hold the ends of the training data, without the share left out, and with the margin."""
-    features = torch.arange(101.0)[:, None]
+    features = torch.arange(-50.0, 51.0)[:, None]
 
-    assert FeatureRanges(["a"]).fit(features).ranges() == {"a": [0.0, 100.0]}
-    assert FeatureRanges(["a"]).fit(features, left_out=0.1).ranges() == {"a": [10.0, 90.0]}
-    assert FeatureRanges(["a"]).fit(features, margin=0.5).ranges() == {"a": [-50.0, 150.0]}
+    assert FeatureRanges(["a"]).fit(features).ranges() == {"a": [-50.0, 50.0]}
+    assert FeatureRanges(["a"]).fit(features, left_out=0.1).ranges() == {"a": [-40.0, 40.0]}
+    assert FeatureRanges(["a"]).fit(features, margin=0.5).ranges() == {"a": [-100.0, 100.0]}
 
 
 def test_a_feature_that_never_changed_allows_that_value_only() -> None:
@@ -79,3 +79,11 @@ def test_distances_of_absurd_features_stay_finite() -> None:
 
     assert 1.0 < ranges(torch.tensor([[1e30]])).item() < float("inf")
     assert 1.0 < space(torch.full((1, 3), 1e12)).item() < float("inf")
+
+
+def test_a_margin_leaves_lengths_above_zero() -> None:
+    """A range of lengths is not widened below zero, and one of signed values is widened at both ends."""
+    features = torch.tensor([[0.01, -1.0], [1.01, 1.0]])
+    ranges = FeatureRanges(("length_m", "offset_m")).fit(features, margin=0.1).ranges()
+    assert ranges["length_m"] == pytest.approx([0.0, 1.11])
+    assert ranges["offset_m"] == pytest.approx([-1.2, 1.2])
