@@ -14,7 +14,7 @@ from service.pushing.contexts import VISUAL_SIZE, VisualContext
 _THUMBNAIL_SCALE: Final = 8
 _LEAST_CONTRAST: Final = 0.15  # between the mean levels of object and background
 _OFF_CENTRE_CELLS: Final = 2.5  # 12 mm. An object's middle lies up to 6 mm from its core's centre.
-_SECOND_OBJECT_SHARE: Final = 0.05  # of the largest object's area
+_SECOND_OBJECT_SHARE: Final = 0.03  # of the largest object's area: a box of 16 mm beside an object of Omnipush
 _ROW: Final = (1 << VISUAL_SIZE) - 1
 _NOT_FIRST: Final = sum((_ROW - 1) << VISUAL_SIZE * row for row in range(VISUAL_SIZE))  # cells with one on their left
 _NOT_LAST: Final = sum((_ROW >> 1) << VISUAL_SIZE * row for row in range(VISUAL_SIZE))

@@ -5,25 +5,35 @@ and the manifest has ranges for the words of a warning. ``RING`` is the domain o
 before, of which the cards say: trained on starts 75 to 85 mm from the centre and aims within 24 mm of it.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from service.model.manifest import Manifest, Validity
+from service.model.tensors import ContextKind, FloatArray
 from service.pushing.poses import PUSH_LENGTH_M, DoubleArray
+from service.pushing.shape_context import BODY, ShapeTensors
+from service.validity.known_objects import weight_counts
 
 START_DISTANCE: Final = "start_distance_m"
 AIM_OFFSET: Final = "aim_offset_m"
 LENGTH: Final = "length_m"
-SIZE: Final = "size_m"
-MOST_WEIGHTS: Final = 2  # of an Omnipush object
 _WORDS: Final = {
-    START_DISTANCE: "the tip starts {} m from the object's centre",
-    AIM_OFFSET: "the push passes the object's centre at {} m",
-    LENGTH: "the push is {} m long",
-    SIZE: "the object's root mean square radius is {} m",
+    START_DISTANCE: ("the tip starts {} m from the object's centre", "m"),
+    AIM_OFFSET: ("the push passes the object's centre at {} m", "m"),
+    LENGTH: ("the push is {} m long", "m"),
+    "length_over_size": ("the push is {} sizes of the object long", "sizes"),
+    "start_over_size": ("the tip starts {} sizes of the object from its centre", "sizes"),
+    "weights": ("{} sides of the object have a weight", "sides"),
+    "view_mean": ("the mean level of the view is {}", "of white"),
+    "view_contrast": ("the levels of the view deviate by {}", "of white"),
+    "size_m": ("the object's size, its root mean square radius, is {} m", "m"),
+    "friction": ("the friction is {}", ""),
+    "pusher_radius_over_size": ("the tip's radius is {} sizes of the object", "sizes"),
+    "centre_of_mass_over_size": ("the centre of mass is {} sizes of the object from its centroid", "sizes"),
 }
 _VALIDITY_SINCE: Final = 3  # format of the manifest
 _EVERYTHING: Final = (-np.inf, np.inf)
@@ -46,11 +56,38 @@ def is_published_without(manifest: Manifest) -> bool:
     return manifest.format < _VALIDITY_SINCE
 
 
-def push_features(pushers: DoubleArray, centres: DoubleArray) -> dict[str, DoubleArray]:
-    """Return the features (n,) of pushers (n, 4), x_m, y_m, angle_rad, length_m, about centres (n, 2) or (2,)."""
+def push_features(
+    pushers: DoubleArray, centres: DoubleArray, sizes_m: DoubleArray | None = None
+) -> dict[str, DoubleArray]:
+    """Return the features (n,) of pushers (n, 4), x_m, y_m, angle_rad, length_m, about centres (n, 2) or (2,).
+
+    Sizes (n,) of the objects are those of models of any shape, or None.
+    """
     x, y = (pushers[:, :2] - centres).T
-    aim = np.cos(pushers[:, 2]) * y - np.sin(pushers[:, 2]) * x
-    return {START_DISTANCE: np.hypot(x, y), AIM_OFFSET: np.abs(aim), LENGTH: pushers[:, 3]}
+    start, aim = np.hypot(x, y), np.cos(pushers[:, 2]) * y - np.sin(pushers[:, 2]) * x
+    found = {START_DISTANCE: start, AIM_OFFSET: np.abs(aim), LENGTH: pushers[:, 3]}
+    if sizes_m is None:
+        return found
+    return {**found, "length_over_size": pushers[:, 3] / sizes_m, "start_over_size": start / sizes_m}
+
+
+def object_features(kind: ContextKind, tensors: Sequence[FloatArray]) -> dict[str, float]:
+    """Return the features of the object of one context, given by its tensors, (...) each."""
+    if kind is ContextKind.NONE:
+        return {}
+    if kind is ContextKind.INDICATOR:
+        return {"weights": float(weight_counts(tensors[0][None])[0])}
+    if kind is ContextKind.VISUAL:
+        return {"view_mean": float(tensors[0].mean()), "view_contrast": float(tensors[0].std())}
+    body = dict(zip(BODY, ShapeTensors(*tensors).body.tolist(), strict=True))
+    off = math.hypot(body["centre_of_mass_x"] - body["centroid_x"], body["centre_of_mass_y"] - body["centroid_y"])
+    size_m = body["size"]
+    return {
+        "size_m": size_m,
+        "friction": body["friction"],
+        "pusher_radius_over_size": body["pusher_radius"] / size_m,
+        "centre_of_mass_over_size": off / size_m,
+    }
 
 
 def outside(validity: Validity, features: Mapping[str, DoubleArray]) -> npt.NDArray[np.bool_]:
@@ -69,5 +106,7 @@ def in_words(validity: Validity | None, features: Mapping[str, float]) -> list[s
     for name, value in features.items():
         low, high = ranges.get(name, _EVERYTHING)
         if not low <= value <= high:
-            clauses.append(f"{_WORDS[name].format(f'{value:.3g}')} (known: {low:.3g} to {high:.3g} m)")
+            words, unit = _WORDS[name]
+            known = f"known: {max(low, 0.0):.3g} to {high:.3g} {unit}".rstrip()
+            clauses.append(f"{words.format(f'{value:.3g}')} ({known})")
     return clauses

@@ -22,10 +22,10 @@ from service.validity.contact import contacts, is_plain_contact
 from service.validity.domains import (
     AIM_OFFSET,
     RING,
-    SIZE,
     START_DISTANCE,
     in_words,
     is_published_without,
+    object_features,
     outside,
     push_features,
     validity_of,
@@ -35,6 +35,7 @@ from service.validity.omnipush import is_omnipush, unlike_omnipush
 from service.validity.pictures import PICTURES, flags_of
 
 NO_WARNINGS: Final[tuple[AnswerWarning, ...]] = ()
+_SIZE: Final = BODY.index("size")
 _TURN_RAD: Final = 2.0 * math.pi
 _NEAREST_M, _FURTHEST_M = RING.ranges[START_DISTANCE]
 _MOST_ASIDE_M: Final = RING.ranges[AIM_OFFSET][1]
@@ -120,7 +121,7 @@ def _judgements(
 def _push(manifest: Manifest, rows: DoubleArray, contexts: Contexts, found: Gaussians) -> _Judgement:
     """Judge which pushes are outside of the domain."""
     validity = validity_of(manifest)
-    features = push_features(rows, _centres_m(contexts))
+    features = push_features(rows, *_places(contexts))
     if found.unfamiliarity is not None:
         strange = found.unfamiliarity[:, 0] > 1.0
     elif validity is not None and is_published_without(manifest):
@@ -149,12 +150,11 @@ def _object(manifest: Manifest, count: int, contexts: Contexts, found: Gaussians
         )
 
     def describe(row: int) -> str:
-        """Name the size out of range, or the distance from the objects that are known."""
-        size: dict[str, float] = {}
-        if index is not None and contexts.kind is ContextKind.SHAPE:
-            size = {SIZE: float(ShapeTensors(*contexts.tensors).body[index[row], BODY.index("size")])}
+        """Name the features out of range, or the distance from the objects that are known."""
+        place = 0 if index is None else int(index[row])
+        clauses = in_words(validity, object_features(contexts.kind, [one[place] for one in contexts.tensors]))
         general = f"the object is unlike those that this version knows{_distance(found, row, 1)}"
-        return f"{''.join(in_words(validity, size)) or general}{_note(manifest)}"
+        return f"{', and '.join(clauses) or general}{_note(manifest)}"
 
     return _Judgement(WarningCode.UNFAMILIAR_OBJECT, found.unfamiliarity[:, 1] > 1.0, describe)
 
@@ -175,11 +175,12 @@ def _degrees(count: int, angles: Angles) -> _Judgement:
     return _Judgement(WarningCode.ANGLE_LOOKS_LIKE_DEGREES, over, describe)
 
 
-def _centres_m(contexts: Contexts) -> DoubleArray:
-    """Return the centroid of each push's object (n, 2), or the origin (2,) for objects of Omnipush."""
+def _places(contexts: Contexts) -> tuple[DoubleArray, DoubleArray | None]:
+    """Return the centroid (n, 2) and size (n,) of each push's object, or the origin (2,) for objects of Omnipush."""
     if contexts.kind is not ContextKind.SHAPE:
-        return np.zeros(2)
-    return ShapeTensors(*contexts.tensors).body[contexts.index, :2].astype(np.float64)
+        return np.zeros(2), None
+    body = ShapeTensors(*contexts.tensors).body[contexts.index].astype(np.float64)
+    return body[:, :2], body[:, _SIZE]
 
 
 def _same(sentence: str, _: int) -> str:

@@ -13,7 +13,7 @@ from service.registry.registry import Registry
 from service.schemas.contexts import ContextBody
 from service.schemas.shapes import OUTLINE_EXAMPLE
 from tests.served_graphs import publish_missing
-from tests.service.schemas.test_shapes import box_picture
+from tests.service.schemas.test_shapes import box_picture, two_boxes
 
 
 def predict(*arguments: str, registry: Path) -> Result:
@@ -81,6 +81,16 @@ def test_an_image_is_an_outline_with_its_scale(with_shapes: Path, tmp_path: Path
         result = predict("--image", str(tmp_path / "view.png"), *options, "--", "-0.1", "0", "0", registry=with_shapes)
         assert result.exit_code == 0, result.output
         assert json.loads(result.output)["model"]["name"] == name
+
+
+def test_faults_of_an_image_come_with_the_prediction(with_shapes: Path, tmp_path: Path) -> None:
+    """A second object in a picture is a warning, and so is an angle that looks like degrees."""
+    (tmp_path / "two.png").write_bytes(two_boxes())
+    options = ("--image", str(tmp_path / "two.png"), "--metres-per-pixel", "0.0005")
+    result = predict(*options, "--", "-0.1", "0", "360", registry=with_shapes)
+    assert result.exit_code == 0, result.output
+    codes = {warning["code"] for warning in json.loads(result.output)["warnings"]}
+    assert codes >= {"image_several_objects", "angle_looks_like_degrees"}
 
 
 def test_a_setting_names_the_default_model(with_shapes: Path, monkeypatch: pytest.MonkeyPatch) -> None:

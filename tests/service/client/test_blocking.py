@@ -37,6 +37,7 @@ from service.client.calls import MAX_CATALOGUE_BYTES
 from service.transport.keys import Grant, Scope
 from tests.hostile_server import Reply, hostile, reply
 from tests.running_service import PATIENCE_S, ROOT, free_port, serve
+from tests.service.schemas.test_shapes import blank_picture
 
 PUSHERS = np.random.default_rng(0).uniform(-0.1, 0.1, (300, 3))
 OBJECT = "1a2b3c4a"
@@ -138,6 +139,15 @@ def test_image_is_converted_to_a_reusable_context(client: Client, picture: Path)
     assert again.model.name == "push-visual"
     assert (again.mean == client.predict_image(picture, PUSHERS).mean).all()
     assert client.predict_image(picture, PUSHERS, object_poses=[[0.05, 0.0, 0.0]]).frame == "world"
+
+
+def test_faults_of_an_image_come_with_the_prediction(client: Client) -> None:
+    """A picture of nothing is answered with its flag, through a file and through the context that is made of it."""
+    nothing = blank_picture()
+    assert client.make_context(nothing).flags == ["blank"]
+    for answer in (client.predict_image(nothing, PUSHERS), client.predict_batch(PUSHERS, client.make_context(nothing))):
+        blank = [warning for warning in answer.warnings if warning.code == "image_blank"]
+        assert [warning.rows for warning in blank] == [list(range(len(PUSHERS)))]
 
 
 def test_models_and_versions_are_listed(client: Client) -> None:

@@ -27,6 +27,13 @@ def box_picture(left: int = 100, top: int = 100, size: tuple[int, int] = (400, 3
     return buffer.getvalue()
 
 
+def blank_picture() -> bytes:
+    """Return a black picture as PNG."""
+    buffer = io.BytesIO()
+    Image.new("L", (64, 64)).save(buffer, "PNG")
+    return buffer.getvalue()
+
+
 def two_boxes() -> bytes:
     """Return a mask of a rectangle of 150 x 100 pixels and a small one, which is no speck, as PNG."""
     image = Image.new("L", (400, 300))

@@ -4,9 +4,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from service.model.manifest import Validity
-from service.validity.domains import RING, in_words, outside, push_features, validity_of
+from service.model.tensors import ContextKind
+from service.pushing.contexts import ObjectContext
+from service.pushing.outlines import Outline
+from service.pushing.shape_context import ShapeContext
+from service.validity.domains import RING, in_words, object_features, outside, push_features, validity_of
 from tests.fakes import draft_manifest
 
 
@@ -36,3 +41,36 @@ def test_versions_from_before_domains_vouch_for_the_ring() -> None:
     """Formats 1 and 2 have no domain in the manifest. A later version without one vouches for none."""
     assert validity_of(replace(draft_manifest(), format=2)) is RING
     assert validity_of(replace(draft_manifest(), format=3)) is None
+
+
+def test_features_of_a_push_in_sizes_need_the_sizes() -> None:
+    """A model of any shape knows lengths and starts as multiples of the size of the object."""
+    pushers = np.array([[-0.08, 0.0, 0.0, 0.05]])
+    assert "length_over_size" not in push_features(pushers, np.zeros(2))
+    found = push_features(pushers, np.zeros((1, 2)), np.array([0.02]))
+    assert found["length_over_size"].tolist() == [2.5]
+    assert found["start_over_size"].tolist() == [4.0]
+
+
+def test_features_of_objects_are_those_of_the_manifests() -> None:
+    """Weights of a descriptor, levels of a view, and for a shape its size, friction, tip and centre of mass."""
+    heavy = ObjectContext.from_descriptor("1b2b3c4a").tensor()
+    assert object_features(ContextKind.INDICATOR, [heavy]) == {"weights": 3.0}
+    half = np.zeros((1, 32, 32), dtype=np.float32)
+    half[:, :16] = 1.0
+    assert object_features(ContextKind.VISUAL, [half]) == {"view_mean": 0.5, "view_contrast": 0.5}
+    box = Outline.of([[0.16, 0.14], [0.04, 0.14], [0.04, 0.06], [0.16, 0.06]])
+    found = object_features(ContextKind.SHAPE, ShapeContext(box, (0.1, 0.12), 0.3, 0.005).tensors())
+    size_m = math.sqrt((0.12**2 + 0.08**2) / 12.0)
+    expected = {"size_m": size_m, "friction": 0.3, "pusher_radius_over_size": 0.005 / size_m}
+    assert found == pytest.approx({**expected, "centre_of_mass_over_size": 0.02 / size_m}, rel=1e-5)
+    assert object_features(ContextKind.NONE, []) == {}
+
+
+def test_words_have_units_and_no_range_begins_below_zero() -> None:
+    """The room around a range of counts is not shown, and a number without unit has none."""
+    validity = Validity({"weights": (-0.2, 2.2), "friction": (0.1, 0.6)}, "a test")
+    assert in_words(validity, {"weights": 3.0, "friction": 0.9}) == [
+        "3 sides of the object have a weight (known: 0 to 2.2 sides)",
+        "the friction is 0.9 (known: 0.1 to 0.6)",
+    ]

@@ -167,6 +167,25 @@ def test_a_warning_names_the_feature_out_of_range_or_the_distance() -> None:
     assert "distance 5, known: up to 1" in strange.detail
 
 
+def test_a_warning_of_an_object_names_its_feature() -> None:
+    """A weight too many, and a friction out of range, are named. A silhouette is told by its distance."""
+    ranges: dict[str, tuple[float, float]] = {"weights": (0.0, 2.0), "friction": (0.1, 0.6)}
+    strange = answers(1, (0.5, 1.5))
+    for contexts, words in (
+        (described("1b2b3c4a"), "3 sides of the object have a weight (known: 0 to 2 sides)"),
+        (replace(shaped(), tensors=_rough()), "the friction is 0.9 (known: 0.1 to 0.6)"),
+        (shaped(), "unlike those that this version knows (distance 1.5, known: up to 1)"),
+    ):
+        manifest = replace(newer(contexts.kind), validity=Validity(ranges, "a test"))
+        (found,) = judged((-0.1, 0.0, 0.0), contexts, strange, manifest)
+        assert (found.code, words in found.detail) == ("unfamiliar_object", True), found.detail
+
+
+def _rough() -> tuple[Any, ...]:
+    """Return the tensors of a box with a friction of 0.9."""
+    return tuple(tensor[None] for tensor in replace(BOX, friction=0.9).tensors())
+
+
 def test_a_shape_at_rest_was_missed() -> None:
     """A model of shapes answers exactly zero for a push that misses, and the warning says by how much."""
     (found,) = judged((-0.1, 0.0, math.pi, 0.05), shaped(), answers(1, (0.5, 0.5), moved=0.0), newer())

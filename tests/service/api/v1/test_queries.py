@@ -15,7 +15,7 @@ from service.pushing.contexts import ObjectContext
 from service.schemas.predictions import BatchResponse, PredictResponse
 from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
 from tests.service.api.v1.requests import answer, batch, fault, problem, single
-from tests.service.schemas.test_shapes import box_picture, two_boxes
+from tests.service.schemas.test_shapes import blank_picture, box_picture, two_boxes
 
 DESCRIPTORS = ("1a2b3c4a", "4a4a4a4a", "2B1c3a4b", "3c3a3a3b")
 INDICATOR = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
@@ -324,6 +324,29 @@ def test_a_photograph_with_several_objects_warns_in_every_form(faked: TestClient
     assert answer(faked, "/v1/predict", {"pusher": PUSHER, "context": context})["warnings"] == form
     (found,) = batch(faked, pushers=[ROW] * 3, contexts=[BOX, context], context_index=[0, 1, 1])["warnings"]
     assert (found["code"], found["rows"]) == ("image_several_objects", [1, 2])
+    seen = faked.post("/v1/contexts", files={"image": image}, data=SCALE).json()
+    assert seen["flags"] == ["several_objects"]
+    many = faked.post("/v1/predict/image", files={"image": image}, data=SCALE | {"pushers": str([ROW] * 2)}).json()
+    assert [(one["code"], one["rows"]) for one in many["warnings"]] == [("image_several_objects", [0, 1])]
+
+
+def test_faults_of_an_image_without_a_scale_warn_in_every_form(shipped: TestClient) -> None:
+    """A picture of nothing is flagged by contexts, and each prediction from it says that it is blank."""
+    image = blank_picture()
+    assert shipped.post("/v1/contexts", files={"image": image}).json()["flags"] == ["blank"]
+    context = {"image": base64.b64encode(image).decode()}
+    form = shipped.post("/v1/predict/image", files={"image": image}, data={"pusher": json.dumps(PUSHER)}).json()
+    assert "image_blank" in {warning["code"] for warning in form["warnings"]}
+    assert answer(shipped, "/v1/predict", {"pusher": PUSHER, "context": context})["warnings"] == form["warnings"]
+    several = batch(shipped, pushers=[ROW] * 2, contexts=[context])["warnings"]
+    assert [one["rows"] for one in several if one["code"] == "image_blank"] == [[0, 1]]
+
+
+def test_half_a_turn_in_degrees_is_told(shipped: TestClient) -> None:
+    """An angle of 180 looks like degrees, and one of pi does not."""
+    for angle, expected in ((180.0, True), (3.1416, False)):
+        codes = {warning["code"] for warning in single(shipped, [-0.08, 0.0, angle], "1a2b3c4a")["warnings"]}
+        assert ("angle_looks_like_degrees" in codes) is expected
 
 
 def test_a_picture_of_an_empty_table_warns(shipped: TestClient) -> None:
