@@ -19,8 +19,8 @@ LEAST_STD_M: Final = 1e-4  # also that of a push that misses, whose mean is exac
 LEAST_STD_RAD: Final = 1e-3
 PUSH_FEATURES: Final = ("length_m", "length_over_size", "start_over_size")
 OBJECT_FEATURES: Final = ("size_m", "friction", "pusher_radius_over_size", "centre_of_mass_over_size")
-AXES: Final = 64
-FALSE_ALARMS: Final = 0.003  # of each threshold, among silhouettes that the axes were not fitted to
+AXES: Final = 128  # with 64, combs and springs were as familiar as held-out objects
+FALSE_ALARMS: Final = 0.0015  # of each threshold, among silhouettes that the axes were not fitted to
 KEPT_BACK: Final = 6  # every sixth object is kept from the axes and sets the thresholds
 MARGIN: Final = 0.02  # of a range, at both ends
 
