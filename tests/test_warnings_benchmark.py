@@ -23,7 +23,7 @@ from benchmarks.warning_queries import (
 )
 from benchmarks.warnings import FIGURES_FILE, PAGE_FILE, REFUSED, asked, counted, main, queries_of, summary
 from service.client import Client
-from service.pushing.image_files import decode_colour
+from service.pushing.images import decode_colour
 from service.registry.registry import Registry
 from service.validity.codes import WarningCode
 from tests.served_graphs import publish_shapes
@@ -139,13 +139,14 @@ def test_the_page_has_every_code_and_kind(tmp_path: Path, capsys: pytest.Capture
 
 
 def test_an_unknown_model_is_one_line() -> None:
-    """The command ends with the name of the model."""
-    with pytest.raises(SystemExit, match="absent"):
+    """The command ends with the problem of the service."""
+    with pytest.raises(SystemExit, match="unknown_model"):
         main(["--model", "absent"])
 
 
-def test_every_kind_of_context_has_queries_inside_and_outside() -> None:
-    """No kind of model is left without either."""
-    for kind in ("none", "indicator", "visual", "shape"):
-        found = list(queries_of(kind, 20, 1, 7, has_domain=True))
-        assert {one.inside for one in found} == {True, False}
+def test_a_model_without_context_is_asked_without_objects() -> None:
+    """Pushes alone are inside or outside, and no contact is due."""
+    found = list(queries_of("none", 20, 1, 7, has_domain=True))
+    assert {one.inside for one in found} == {True, False}
+    assert not any(one.contexts for one in found)
+    assert NO_CONTACT not in {code for one in found for code in one.due}
