@@ -38,7 +38,7 @@ RECORDED: Final = "python -m benchmarks.real_pushes FOLDER --out docs/results/re
 OMNIPUSH: Final = "python -m benchmarks.omnipush_outlines data/approach-new/abs --out docs/results/omnipush-outlines"
 SERVING: Final = "python -m benchmarks.serving"
 PHOTOGRAPHS: Final = "python -m benchmarks.silhouettes --out docs/results/silhouettes"
-WARNINGS: Final = "python -m benchmarks.warnings"
+WARNINGS: Final = "python -m benchmarks.warnings --out docs/results/warnings"
 RINGS: Final = "python -m benchmarks.bands runs/push-indicator runs/push-none runs/push-visual"
 
 
@@ -203,9 +203,23 @@ def goals() -> dict[str, tuple[Goal, ...]]:
             unit=" %",
         ),
         Goal(
-            "warned", "queries outside of the domain that are warned of: at least 95 %", WARNINGS, low=95.0, unit=" %"
+            "warned",
+            "queries outside of the domain that are warned of: at least 95 % for every code and champion",
+            WARNINGS,
+            "warnings/figures.json",
+            lambda document: float(document["least_caught"]),
+            low=95.0,
+            unit=" %",
         ),
-        Goal("alarms", "queries inside that are warned of: at most 2 %", WARNINGS, high=2.0, unit=" %"),
+        Goal(
+            "alarms",
+            "queries inside that are warned of: at most 2 % for every code and champion",
+            WARNINGS,
+            "warnings/figures.json",
+            lambda document: float(document["most_false_alarms"]),
+            high=2.0,
+            unit=" %",
+        ),
         Goal("single", "a single push by descriptor: at least 2.0 times the empty endpoint", SERVING, low=2.0),
         Goal("single_outline", "a single push of an outline of 64 corners: at least 0.25 times", SERVING, low=0.25),
         Goal(
