@@ -110,3 +110,27 @@ def first_contact(edges: Edges, start: Tensor, ahead: Tensor, radius: Tensor) ->
     excess = torch.relu(torch.abs(along) - edges.half)
     clearance = torch.sqrt((excess * excess + height * height).amin(dim=2, keepdim=True))
     return torch.where(clearance <= radius + TOUCH, 0.0, travel)
+
+
+def clearance(pusher: Tensor, corners: Tensor, radius: Tensor) -> Tensor:
+    """Return how near tips come to outlines that they miss, (n, 1) in m.
+
+    Args:
+        pusher: (n, 4) pushes in the frame of the corners.
+        corners: (n, 64, 2) of the outline of each push, in m.
+        radius: (n, 1) of the tips, in m.
+    """
+    cos, sin, length = torch.cos(pusher[:, 2:3]), torch.sin(pusher[:, 2:3]), pusher[:, 3:4]
+    x, y = corners[:, :, 0] - pusher[:, :1], corners[:, :, 1] - pusher[:, 1:2]
+    along, across = cos * x + sin * y, cos * y - sin * x
+    beyond = along - torch.minimum(torch.relu(along), length)  # a corner is nearest to the way, or an edge to its ends
+    to_corner = beyond * beyond + across * across
+    edge_x, edge_y = along.roll(-1, 1) - along, across.roll(-1, 1) - across
+    square = torch.clamp(edge_x * edge_x + edge_y * edge_y, min=TINY * TINY)
+    nearest = [to_corner.amin(dim=1, keepdim=True)]
+    for end in (torch.zeros_like(length), length):
+        ahead = end - along
+        share = torch.clamp((ahead * edge_x - across * edge_y) / square, 0.0, 1.0)
+        to_x, to_y = ahead - share * edge_x, across + share * edge_y
+        nearest.append((to_x * to_x + to_y * to_y).amin(dim=1, keepdim=True))
+    return torch.relu(torch.sqrt(torch.cat(nearest, dim=1).amin(dim=1, keepdim=True)) - radius)

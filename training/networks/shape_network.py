@@ -10,13 +10,18 @@ from torch import Tensor, nn
 
 from service.pushing.shape_context import SILHOUETTE_SIZE
 from training.networks.angles import wrapped
+from training.networks.contact import clearance
 from training.networks.familiarity import FeatureRanges, FeatureSpace
 from training.networks.mechanics import Mechanics, PushMechanics
 from training.networks.push_network import PushNetwork
 from training.networks.shape_features import context_inputs, push_inputs, residual_unit
 
-LEAST_STD_M: Final = 1e-4  # also that of a push that misses, whose mean is exactly at rest
+LEAST_STD_M: Final = 1e-4  # also that of a push that misses by far, whose mean is exactly at rest
 LEAST_STD_RAD: Final = 1e-3
+# A push that misses by less than what is not known of the object's place may touch. With a place of this std, the tip
+# is deeper than the outline by sqrt(E max(0, n - u)^2), n normal and u the clearance. This is so within 5 % to u = 2.
+PLACE_STD_M: Final = 1e-3
+_TOUCHING, _FALL, _FALL_FASTER = 0.71, 0.85, 0.125
 PUSH_FEATURES: Final = ("length_m", "length_over_size", "start_over_size")
 OBJECT_FEATURES: Final = ("size_m", "friction", "pusher_radius_over_size", "centre_of_mass_over_size")
 AXES: Final = 128  # with 64, combs and springs were as familiar as held-out objects
@@ -112,17 +117,19 @@ class ShapeNetwork(nn.Module):
         rows = torch.index_select(body, 0, context_index)
         mean, log_std = self.network.gaussian(push_inputs(found, pusher, rows), conditioning)
         unit = residual_unit(found.left)
-        gaussian = self._in_object_frame(
-            found, found.motion + mean * unit, torch.exp(log_std) * unit * self.scale, pusher, rows
-        )
+        std = torch.exp(log_std) * unit * self.scale
+        near_m = near_miss(clearance(pusher, torch.index_select(outline, 0, context_index), rows[:, 9:10]))
+        gaussian = self._in_object_frame(found, found.motion + mean * unit, std, near_m, pusher, rows)
         if self.domain is None:
             return gaussian
         return *gaussian, self.domain(pusher, silhouette, body, context_index)
 
     def _in_object_frame(
-        self, found: Mechanics, motion: Tensor, std: Tensor, pusher: Tensor, body: Tensor
+        self, found: Mechanics, motion: Tensor, std: Tensor, near_m: Tensor, pusher: Tensor, body: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return the Gaussian of the object's pose, of motions of the centroid (n, 3) in the push frame, in sizes.
+
+        Pushes that miss have the deviations ``near_m`` (n, 1).
 
         The origin of the frame turns about the centroid c, from c to c + d - R(yaw) c. Its variance is propagated.
         """
@@ -141,4 +148,11 @@ class ShapeNetwork(nn.Module):
         spread = torch.cat([spread + lever * lever * turning, turning], dim=1)
         hit = found.touches[:, None]
         mean = torch.cat([centroid + moved - turned, wrapped(yaw)], dim=1) * hit
-        return mean, torch.sqrt(spread * hit + self.least)
+        missed = torch.cat([near_m, near_m, near_m / size], dim=1) * (1.0 - hit)
+        return mean, torch.sqrt(spread * hit + missed * missed + self.least)
+
+
+def near_miss(clearance_m: Tensor) -> Tensor:
+    """Return the std in m of how far an object moves that the tip passes by with these clearances."""
+    places = clearance_m / PLACE_STD_M
+    return PLACE_STD_M * _TOUCHING * torch.exp(-places * (_FALL + _FALL_FASTER * places))

@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import pytest
+import shapely
 import torch
 
 from service.pushing.first_contact import first_contact as expected_contact
 from service.pushing.outlines import Outline
 from service.pushing.shape_context import CORNERS, ShapeContext
-from training.networks.contact import FAR, LARGEST, Edges, OutlineEdges, first_contact
+from training.networks.contact import FAR, LARGEST, Edges, OutlineEdges, clearance, first_contact
 
 SQUARE = Outline.of([(0.03, 0.03), (-0.03, 0.03), (-0.03, -0.03), (0.03, -0.03)])
 RADIUS_M = 0.005
@@ -52,3 +53,23 @@ def test_edges_that_fill_an_outline_up_are_far_away() -> None:
     half = edges_of_the_square().half
     assert (half > 0.0).sum() == 4
     assert (half == -FAR).sum() == CORNERS - 4
+
+
+def test_the_clearance_of_a_miss_is_the_distance_of_its_path() -> None:
+    """Paths that pass by, end before the object or lead away have the distance that shapely measures."""
+    rng = np.random.default_rng(0)
+    outline = Outline.of([(0.05, -0.02), (0.05, 0.01), (0.01, 0.01), (0.01, 0.05), (-0.02, 0.05), (-0.02, -0.02)])
+    corners = torch.from_numpy(ShapeContext(outline).tensors().outline[None])
+    pushes = np.column_stack(
+        [rng.uniform(-0.12, 0.12, (300, 2)), rng.uniform(-3.1, 3.1, 300), rng.uniform(0, 0.1, 300)]
+    )
+    polygon = shapely.Polygon(outline.corners)
+    ends = pushes[:, :2] + pushes[:, 3:] * np.stack([np.cos(pushes[:, 2]), np.sin(pushes[:, 2])], axis=1)
+    expected = np.array(
+        [polygon.distance(shapely.LineString(ways)) for ways in np.stack([pushes[:, :2], ends], axis=1)]
+    )
+    pusher = torch.from_numpy(pushes.astype(np.float32))
+    found = clearance(pusher, corners.expand(300, -1, -1), torch.full((300, 1), RADIUS_M))[:, 0].numpy()
+    missing = expected > RADIUS_M
+    assert 100 < missing.sum() < 300
+    assert found[missing] == pytest.approx(expected[missing] - RADIUS_M, abs=1e-6)

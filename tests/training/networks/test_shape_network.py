@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.stats import norm
 
 from service.model.tensors import ContextKind
 from service.pushing.outlines import Outline
@@ -12,7 +13,14 @@ from service.pushing.shape_context import ShapeContext
 from tests.served_graphs import BOX, L_SHAPE, shape_tensors
 from training.networks.methods import METHODS
 from training.networks.push_network import PUSH_SHAPES, PushNetwork
-from training.networks.shape_network import LEAST_STD_M, LEAST_STD_RAD, ShapeDomain, ShapeNetwork
+from training.networks.shape_network import (
+    LEAST_STD_M,
+    LEAST_STD_RAD,
+    PLACE_STD_M,
+    ShapeDomain,
+    ShapeNetwork,
+    near_miss,
+)
 
 PUSHES = np.array(
     [[-0.2, 0.005, 0.02, 0.2], [0.15, 0.1, -2.5, 0.25], [0.02, -0.2, 1.6, 0.22], [-0.2, 0.3, 0.0, 0.2]]
@@ -44,6 +52,24 @@ def test_a_push_that_misses_is_exactly_at_rest(network: PushNetwork) -> None:
     assert (mean[-1] == 0.0).all()
     assert std[-1] == pytest.approx([LEAST_STD_M, LEAST_STD_M, LEAST_STD_RAD])
     assert (np.abs(mean[:-1]).max(axis=1) > 0.01).all()
+
+
+def test_a_push_that_just_misses_may_touch(network: PushNetwork) -> None:
+    """Half a millimetre short of the object the mean is at rest, and the std is that of a place known within 1 mm."""
+    context = ShapeContext(BOX, pusher_radius_m=0.005)
+    mean, std = answer(ShapeNetwork(network), context, np.array([[-0.1, 0.0, 0.0, 0.0345], [-0.1, 0.0, 0.0, 0.01]]))
+    assert (mean == 0.0).all()
+    assert std[0, :2] == pytest.approx(0.46e-3, rel=0.05)
+    assert std[0, 2] == pytest.approx(std[0, 0] / BOX.size_m, rel=0.1)
+    assert std[1] == pytest.approx([LEAST_STD_M, LEAST_STD_M, LEAST_STD_RAD])
+
+
+@pytest.mark.parametrize("places", [0.0, 0.5, 1.0, 2.0])
+def test_the_std_of_a_near_miss_is_that_of_how_deep_the_tip_may_be(places: float) -> None:
+    """The formula is sqrt(E max(0, n - u)^2) of a normal n."""
+    exact = math.sqrt((1.0 + places**2) * norm.cdf(-places) - places * norm.pdf(places))
+    found = near_miss(torch.tensor(places * PLACE_STD_M)).item()
+    assert found == pytest.approx(PLACE_STD_M * exact, rel=0.05)
 
 
 def test_twice_the_size_and_the_push_is_twice_the_answer(network: PushNetwork) -> None:
