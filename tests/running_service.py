@@ -37,7 +37,6 @@ from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 from service.registry.registry import Registry
 from service.settings import Settings
 from tests.fakes import draft_manifest
-from tests.served_graphs import publish_missing
 
 ROOT = Path(__file__).resolve().parent.parent
 PATIENCE_S = 60.0  # bounds a hang and is not a measurement
@@ -98,21 +97,21 @@ def free_port() -> int:
 
 
 def shipped_models(folder: Path) -> LoadedModels:
-    """Load the shipped models from a copy in a folder, with a model of every kind of context."""
+    """Load the shipped models from a copy in a folder, which have a model of every kind of context."""
     shutil.copytree(ROOT / "models", folder / "models")
-    models = LoadedModels(publish_missing(Registry(folder / "models")), OnnxPredictor)
+    models = LoadedModels(Registry(folder / "models"), OnnxPredictor)
     models.refresh()
     return models
 
 
 @contextmanager
 def serve(folder: Path, **settings: object) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
-    """Run a service over the shipped models, a visual one and one of shapes.
+    """Run a service over the shipped models and a visual one of constants.
 
     Yield its port and process. Expect exit status 0.
     """
     shutil.copytree(ROOT / "models", folder / "models")
-    publish_visual(publish_missing(Registry(folder / "models")))
+    publish_visual(Registry(folder / "models"))
     folder.chmod(0o755)  # a container runs as another user
     port = free_port()
     environment = {"CAZSL_PORT": str(port), "CAZSL_REGISTRY": str(folder / "models"), "CAZSL_LOG_LEVEL": "WARNING"}

@@ -108,17 +108,8 @@ def publish_shapes(registry: Registry, name: str = "push-shape") -> int:
     return version
 
 
-def publish_missing(registry: Registry) -> Registry:
-    """Publish the small graph of shapes if no model of shapes ships, so that every kind of context has a model."""
-    if "push-shape" not in registry.names():
-        publish_shapes(registry)
-    return registry
-
-
 def served_predictor(project_root: Path, kind: ContextKind) -> OnnxPredictor:
-    """Return the predictor of the last version that ships of a kind, or of the small graph of shapes."""
-    if kind is ContextKind.SHAPE:
-        return OnnxPredictor(shape_graph(), expected_inputs(kind), OUTPUTS_WITH_UNFAMILIARITY)
+    """Return the predictor of the last version that ships of a kind."""
     registry, name = Registry(project_root / "models"), f"push-{kind}"
     verified = registry.read(name, registry.versions(name)[-1])
     return OnnxPredictor(verified.model, verified.manifest.inputs, verified.manifest.outputs)

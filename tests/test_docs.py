@@ -25,7 +25,6 @@ from service.model.reference import ModelReference
 from service.registry.registry import Registry
 from tests.documented_api import listed_errors
 from tests.running_service import ROOT, free_port, serve
-from tests.served_graphs import publish_missing
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(sh|python)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
@@ -80,7 +79,6 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
     """The code blocks of docs/client.md run as one program, in a folder with the shipped models."""
     assert len(CLIENT_BLOCKS) == 12
     shutil.copytree(ROOT / "models", folder / "models")
-    publish_missing(Registry(folder / "models"))
     code = "\n".join(CLIENT_BLOCKS).replace("localhost:8000", f"127.0.0.1:{port}")
     command = [sys.executable, "-W", "error", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{code}"]
     printed = run(command, "", folder)

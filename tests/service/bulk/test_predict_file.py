@@ -21,7 +21,6 @@ from service.model.tensors import ContextKind
 from service.registry.registry import Registry
 from service.schemas.contexts import ContextBody
 from tests.ray_cluster import NodeLossExecutor, TwoNodes
-from tests.served_graphs import publish_missing
 
 ROWS = 9 * CHUNK_ROWS + 17
 OBJECTS = np.array([f"{a}a{b}b4c1a" for a in "1234" for b in "1234"])
@@ -320,7 +319,6 @@ def with_shapes(tmp_path_factory: pytest.TempPathFactory, project_root: Path) ->
     """A registry of a model of shapes and one of descriptors."""
     root = tmp_path_factory.mktemp("registry") / "models"
     shutil.copytree(project_root / "models", root)
-    publish_missing(Registry(root))
     return root
 
 

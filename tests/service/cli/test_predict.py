@@ -12,7 +12,6 @@ from service.client import Client
 from service.registry.registry import Registry
 from service.schemas.contexts import ContextBody
 from service.schemas.shapes import OUTLINE_EXAMPLE
-from tests.served_graphs import publish_missing
 from tests.service.schemas.test_shapes import box_picture, two_boxes
 
 
@@ -57,7 +56,6 @@ def with_shapes(tmp_path_factory: pytest.TempPathFactory, project_root: Path) ->
     """A registry with a model of every kind of context."""
     root = tmp_path_factory.mktemp("registry") / "models"
     shutil.copytree(project_root / "models", root)
-    publish_missing(Registry(root))
     return root
 
 
