@@ -15,7 +15,6 @@ from service.inference.snapshot import DEFAULT_MODELS
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
 from service.model.reference import ModelReference
-from service.model.tensors import ContextKind
 from service.pushing.contexts import ObjectContext
 from service.registry.loading import load_version
 from service.registry.registry import Registry
@@ -80,7 +79,9 @@ def test_the_readmes_figures_are_the_manifests(readme: str, champions: dict[str,
 
 def test_knowing_the_object_is_worth_a_factor_of_two(champions: dict[str, Manifest]) -> None:
     """On the same held-out objects the error of the models with a context is less than half of FCN's."""
-    rmse = {name: manifest.metrics["different-objects"].rmse for name, manifest in champions.items() if name != "push-shape"}
+    rmse = {
+        name: manifest.metrics["different-objects"].rmse for name, manifest in champions.items() if name != "push-shape"
+    }
     assert max(rmse["push-indicator"], rmse["push-visual"]) < rmse["push-none"] / 2.0
 
 

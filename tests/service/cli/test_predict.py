@@ -9,7 +9,6 @@ from click.testing import CliRunner, Result
 
 from service.cli.main import main
 from service.client import Client
-from service.registry.registry import Registry
 from service.schemas.contexts import ContextBody
 from service.schemas.shapes import OUTLINE_EXAMPLE
 from tests.service.schemas.test_shapes import box_picture, two_boxes
