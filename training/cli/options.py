@@ -11,6 +11,14 @@ data_option = option(
     "--data",
     "folder",
     type=FOLDER,
+    default=DEFAULT_DATA,
+    show_default=True,
+    help="Folder of pushes in Omnipush's format.",
+)
+run_data_option = option(
+    "--data",
+    "folder",
+    type=FOLDER,
     help=f"Folder of pushes in Omnipush's format, or for push-shape a table of shapes. [default: {DEFAULT_DATA}, or "
     "data/shapes]",
 )

@@ -13,7 +13,7 @@ from service.model.reference import DEFAULT_ALIAS, is_alias
 from service.model.tensors import ContextKind
 from service.registry.registry import NOWHERE, Registry
 from training.cli import shape_runs
-from training.cli.options import data_option, registry_option, run_argument, views_option
+from training.cli.options import registry_option, run_argument, run_data_option, views_option
 from training.fitting.bands import bands, calibrated
 from training.fitting.evaluation import COVERAGE_LEVELS, Evaluation, Predictions
 from training.fitting.evaluation import evaluate as evaluate_network
@@ -31,7 +31,7 @@ RUNS: Final = Path("runs")
 
 @click.command("fit")
 @argument("recipe")
-@data_option
+@run_data_option
 @views_option
 @option("--run", type=FOLDER, help="Run folder. [default: runs/RECIPE]")
 @option("--set-up", type=click.Choice([*SET_UPS, *SHAPE_SET_UPS]), help="Set-up to train on instead of the recipe's.")
@@ -62,7 +62,7 @@ def fit_recipe(recipe: str, folder: Path | None, views: Path | None, run: Path |
 
 @click.command("evaluate")
 @run_argument
-@data_option
+@run_data_option
 @views_option
 def evaluate(run: Path, folder: Path | None, views: Path | None) -> None:
     """Print RMSE, STD, Dist., NLL and coverage of a finished RUN on its held-out objects.
@@ -91,7 +91,7 @@ def evaluate(run: Path, folder: Path | None, views: Path | None) -> None:
 
 @click.command("publish")
 @run_argument
-@data_option
+@run_data_option
 @views_option
 @registry_option
 @option(
