@@ -41,7 +41,7 @@ STRANGE: Final = (
     WarningCode.IMAGE_SEVERAL_OBJECTS,
 )
 PUSH_OF_A_VIEW: Final = (-0.08, 0.0, 0.0, 0.05)
-SIZES_M: Final = (0.03, 0.25)  # of the objects in photographs
+SIZES_M: Final = (0.03, 0.11)  # of the objects in photographs
 
 
 def view_queries(count: int, rng: np.random.Generator) -> list[Queries]:
@@ -109,9 +109,10 @@ def _placed(shown: Photograph, rng: np.random.Generator) -> tuple[tuple[float, .
     height, width = shown.mask.shape
     rows, columns = np.nonzero(shown.mask) if shown.mask.any() else np.array([[0, height], [0, width]])
     extent = max(np.ptp(rows), np.ptp(columns), 1)
-    scale_m = float(rng.uniform(*SIZES_M)) / float(extent)
+    size_m = float(rng.uniform(*SIZES_M))
+    scale_m = size_m / float(extent)
     x, y = (columns.mean() - width / 2.0) * scale_m, (height / 2.0 - rows.mean()) * scale_m
-    return (float(x - 0.8 * extent * scale_m), float(y), 0.0, 0.05), scale_m
+    return (float(x) - 0.8 * size_m, float(y), 0.0, size_m), scale_m  # past the middle, so that it touches
 
 
 def _other(rng: np.random.Generator) -> View:
