@@ -36,8 +36,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.api": "service.errors service.inference service.schemas service.background service.observability "
         "service.transport",
         "service.api.v1": "service.errors service.turns service.model service.pushing service.silhouettes "
-        "service.inference "
-        "service.schemas service.observability service.transport service.api",
+        "service.validity "
+        "service.inference service.schemas service.observability service.transport service.api",
         "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
         "service.transport service.api",
         "service.app": "service.errors service.settings service.inference service.schemas service.background "
@@ -45,7 +45,8 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.api.open_inference",
         "service.client": "service.errors service.model service.schemas",
         "service.cli": "service.errors service.settings service.files service.processors service.background "
-        "service.observability service.model service.storage service.registry service.schemas service.inference "
+        "service.observability service.model service.storage service.registry service.validity service.schemas "
+        "service.inference "
         "service.transport service.bulk service.api.v1 service.connections service.app",
         "training.omnipush": "service.errors service.files service.model service.pushing service.storage",
         "training.tables": "service.errors service.files service.pushing service.bulk training.omnipush",

@@ -20,6 +20,7 @@ from service.model.reference import DEFAULT_ALIAS, ModelReference
 from service.registry.loading import load_version
 from service.registry.registry import Registry
 from service.storage.history import Event, ModelState
+from service.validity.domains import RING, is_published_without
 
 
 @click.group(context_settings=HELP)
@@ -94,13 +95,18 @@ def _print_states(states: Mapping[str, ModelState]) -> None:
 @registry_option
 @errors_as_one_line
 def show(reference: str, as_json: bool, registry: str) -> None:
-    """Print the card of a version, or its manifest with --json. REFERENCE is NAME, NAME@ALIAS or NAME@VERSION."""
+    """Print the card of a version, or its manifest with --json. REFERENCE is NAME, NAME@ALIAS or NAME@VERSION.
+
+    Below the card of a version that was published before cards named a domain is a note of it.
+    """
     store, parsed = open_unsigned(registry), ModelReference.parse(reference, "reference")
     version = store.read(parsed.name, store.resolve(parsed))
     if as_json:
         print_json(json.loads(version.manifest.render()))
     else:
         echo_lines(version.card)
+        if is_published_without(version.manifest):
+            echo_lines(f"## Domain\n\nNot in the card, which never changes: this version vouches for {RING.note}.")
 
 
 @models.command("diff")

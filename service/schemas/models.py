@@ -12,6 +12,11 @@ _MODEL_EXAMPLE = {
     "context_kind": "indicator",
     "versions": [1, 2],
     "aliases": {"champion": 2},
+    "vouches_for": {"2": "pushes of 50 mm that start between touch and 124 mm from the centre"},
+}
+_VALIDITY_EXAMPLE = {
+    "ranges": {"start_distance_m": [0.0467, 0.1235], "length_m": [0.05, 0.05]},
+    "note": "pushes of 50 mm that start between touch and 124 mm from the centre",
 }
 _DEFAULTS_EXAMPLE = {
     "none": "push-none",
@@ -19,6 +24,25 @@ _DEFAULTS_EXAMPLE = {
     "visual": "push-visual",
     "shape": "push-shape",
 }
+
+
+class ValidityBody(Body):
+    """Domain that a version vouches for."""
+
+    ranges: Annotated[
+        dict[str, tuple[float, float]],
+        Field(
+            description="lowest and highest value of each feature, named with its SI unit",
+            examples=[_VALIDITY_EXAMPLE["ranges"]],
+        ),
+    ]
+    note: Annotated[
+        str,
+        Field(
+            description="the domain in words",
+            examples=[_VALIDITY_EXAMPLE["note"]],
+        ),
+    ]
 
 
 class ModelVersionBody(Body):
@@ -41,6 +65,13 @@ class ModelBody(Body):
         list[int], FailFast(), Field(description="versions that are served, oldest first", examples=[[1, 2]])
     ]
     aliases: Annotated[dict[str, int], Field(description="version that each alias names", examples=[{"champion": 2}])]
+    vouches_for: Annotated[
+        dict[int, str],
+        Field(
+            description="domain of each version in words. Versions without one are left out.",
+            examples=[_MODEL_EXAMPLE["vouches_for"]],
+        ),
+    ] = {}  # noqa: RUF012 (pydantic copies it)
 
 
 class ModelsBody(Body):
@@ -75,3 +106,11 @@ class ModelVersionDetailBody(Body):
         ),
     ]
     card: Annotated[str, Field(description="model card, in Markdown", examples=["# push-indicator\n"])]
+    validity: Annotated[
+        ValidityBody | None,
+        Field(
+            description="domain that the version vouches for: that of its manifest or, for a version published before "
+            "manifests had one, the ring of starts that it learnt",
+            examples=[_VALIDITY_EXAMPLE],
+        ),
+    ] = None

@@ -42,7 +42,8 @@ _EVERYTHING: Final = (-np.inf, np.inf)
 # Half a millimetre around the ring is left for the tracker's noise.
 RING: Final = Validity(
     {START_DISTANCE: (0.075, 0.0855), AIM_OFFSET: (0.0, 0.0245), LENGTH: (PUSH_LENGTH_M, PUSH_LENGTH_M)},
-    "a ring of starts around Omnipush's objects, which have at most two weights",
+    "a ring only: pushes of 50 mm that start 75 to 85 mm from the centre of an object of Omnipush and pass within "
+    "24 mm of it; objects have at most two weights",
 )
 
 

@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 from service.registry.registry import Registry
+from service.validity.domains import RING
 from tests.fakes import publish_fake
 from tests.service.cli.command_line import NAME, document, force, run
 
@@ -26,6 +27,8 @@ def test_models_are_listed_shown_and_verified(project_root: Path) -> None:
     assert "simulated" in run(shipped, "show", "push-indicator").output
     shown = run(shipped, "show", "push-indicator@1", "--json").output
     assert json.loads(shown)["method"] == "FCN + CM + L2Reg"
+    assert run(shipped, "show", "push-indicator@2").output.endswith(f"this version vouches for {RING.note}.\n")
+    assert run(shipped, "show", "push-indicator").output.count("## Domain") == 1, "its card has its domain"
     verified = run(shipped, "verify")
     assert (verified.exit_code, "push-indicator@1  ok" in verified.output) == (0, True)
 
