@@ -66,8 +66,8 @@ class Goal:
     unit: str = ""
 
 
-def recorded(figure: Callable[[Mapping[str, Any]], float]) -> Callable[[Any], float]:
-    """Return a finder of a figure of the last version of push-shape on recorded pushes."""
+def recorded(figure: Callable[[Mapping[str, Any]], float]) -> tuple[str, str, Callable[[Any], float]]:
+    """Return the command, the file, and a finder of a figure of the last version of push-shape on recorded pushes."""
 
     def find(document: Any) -> float:
         """Return the figure of its scores."""
@@ -78,12 +78,12 @@ def recorded(figure: Callable[[Mapping[str, Any]], float]) -> Callable[[Any], fl
         }
         return figure(versions[max(versions, default=0)])
 
-    return find
+    return RECORDED, "real-pushes/figures.json", find
 
 
-def summarised(key: str) -> Callable[[Any], float]:
-    """Return a finder of a figure of a summary."""
-    return lambda document: float(document["summary"][key])
+def summarised(key: str, times: float = 1.0) -> Callable[[Any], float]:
+    """Return a finder of a figure of a summary, times a number."""
+    return lambda document: times * float(document["summary"][key])
 
 
 def worst_region(scores: Mapping[str, Any]) -> float:
@@ -103,33 +103,26 @@ def ring(key: str, text: str, low: float = -math.inf, high: float = math.inf, un
 
 def goals() -> dict[str, tuple[Goal, ...]]:
     """Return the goals by section."""
-    recorded_file, bands_file = "real-pushes/figures.json", "shape-bands/figures.json"
-    outlines_file = "omnipush-outlines/figures.json"
+    bands_file, outlines_file = "shape-bands/figures.json", "omnipush-outlines/figures.json"
     model = (
         Goal(
             "recorded_mm",
             "recorded pushes, zero-shot: mean position error at most 3.6 mm",
-            RECORDED,
-            recorded_file,
-            recorded(lambda scores: scores["all"]["position_mm"]["mean"]),
+            *recorded(lambda scores: scores["all"]["position_mm"]["mean"]),
             high=3.6,
             unit=" mm",
         ),
         Goal(
             "recorded_deg",
             "... mean yaw error at most 4.4 degrees",
-            RECORDED,
-            recorded_file,
-            recorded(lambda scores: scores["all"]["yaw_deg"]["mean"]),
+            *recorded(lambda scores: scores["all"]["yaw_deg"]["mean"]),
             high=4.4,
             unit=" degrees",
         ),
         Goal(
             "recorded_regions",
             "... 90 % regions hold 86 to 93 %",
-            RECORDED,
-            recorded_file,
-            recorded(lambda scores: 100.0 * scores["all"]["calibration"]["regions"][1]),
+            *recorded(lambda scores: 100.0 * scores["all"]["calibration"]["regions"][1]),
             86.0,
             93.0,
             " %",
@@ -137,9 +130,7 @@ def goals() -> dict[str, tuple[Goal, ...]]:
         Goal(
             "recorded_worst",
             "... at least 80 % on the worst shape and surface",
-            RECORDED,
-            recorded_file,
-            recorded(worst_region),
+            *recorded(worst_region),
             low=80.0,
             unit=" %",
         ),
@@ -157,7 +148,7 @@ def goals() -> dict[str, tuple[Goal, ...]]:
                 f"new shapes, body known: 90 % {kind} hold at {words} % in every band of start, aim, length, size",
                 BANDS,
                 bands_file,
-                lambda document, key=f"body_known.{end}est_{kind}_90": 100.0 * summarised(key)(document),
+                summarised(f"body_known.{end}est_{kind}_90", 100.0),
                 low,
                 high,
                 " %",
@@ -170,7 +161,7 @@ def goals() -> dict[str, tuple[Goal, ...]]:
             "... asked with the outline alone, where half of the objects carry a load: 90 % regions hold (no goal)",
             BANDS,
             bands_file,
-            lambda document: 100.0 * summarised("outline_alone.regions_90")(document),
+            summarised("outline_alone.regions_90", 100.0),
             unit=" %",
         ),
         Goal(
