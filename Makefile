@@ -43,6 +43,7 @@ shapes: $(VENV)/training ## simulate pushes of drawn shapes into data/shapes: te
 MODEL := push-indicator
 SHAPED := $(filter push-shape,$(MODEL))
 train: $(if $(SHAPED),shapes,data) ## fit MODEL, measure it, fit it again on all objects, publish its next version
+	$(if $(filter push-visual,$(MODEL)),$(BIN)/cazsl-train images --camera --views 16)
 	$(BIN)/cazsl-train fit $(MODEL)
 	$(BIN)/cazsl-train evaluate runs/$(MODEL)
 	$(BIN)/cazsl-train fit $(MODEL) --set-up all-$(if $(SHAPED),families,objects) --run runs/$(MODEL)-all
