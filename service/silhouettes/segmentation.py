@@ -22,12 +22,16 @@ SEARCH_SIDE: Final = 256  # pixels of the longer side, where candidates are sear
 CUT_SIDE: Final = 288  # ... and where the object is segmented
 LEAST_SIDE: Final = 16  # pixels of the shorter side in which an object can be told from a table
 _SCALES: Final = ((0.7, 1.0), (1.5, 1.0), (3.5, 0.7))  # blur in pixels, and weight
-RIVAL: Final = 0.35  # of the strongest candidate's strength: another object
+RIVAL: Final = 0.25  # of the strongest candidate's strength: another object
 _CANDIDATE: Final = 14.0  # squared Mahalanobis distance from the table where a candidate begins
+_EDGE: Final = 10  # pixels: the sharpest of a candidate are its edge
+_SHARP: Final = 1.6  # of the sharpest percent of the table: a blunter candidate is a stain
 _PIECE: Final = 0.1  # of the largest area: another piece of the same candidate
 _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
 _SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
 _SHADOW_STEP: Final = 0.2  # of brightness, between a grey object and its shadow
+_BLUR: Final = 2.0  # pixels of the picture, on either side of a boundary
+_SHADE: Final = 0.7  # of a difference in brightness that may be a shadow
 _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 
 
@@ -35,7 +39,7 @@ _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 class _Candidate:
     region: Region
     strength: float
-    """sum of the squared distances from the table inside, each at most 150, times the sharpness of the boundary"""
+    """sum of the squared distances from the table inside, each at most 150, times the sharpness of its edge"""
 
 
 def segment(levels: npt.NDArray[np.uint8]) -> list[Region]:
@@ -56,9 +60,9 @@ def segment(levels: npt.NDArray[np.uint8]) -> list[Region]:
     cut = resized(levels[top:bottom, left:right], CUT_SIDE)
     cut_scale = (right - left) / cut.shape[1]
     seed = filled((first - (left, top)) / cut_scale, cut.shape[:2])
-    refined = regions(_refined(cut, seed), 4)
+    refined = regions(_refined(cut, seed, 1.0 / cut_scale), 4)
     if len(refined) > 1 and refined[1].area > _PIECE * refined[0].area:  # a dark part was taken for a shadow
-        refined = regions(_refined(cut, seed, shadows=False), 4)
+        refined = regions(_refined(cut, seed, 1.0 / cut_scale, shadows=False), 4)
     found_here = [Region(one.boundary * cut_scale + (left, top), one.area * cut_scale**2) for one in refined]
     others = [one for one in found[1:] if one.strength > RIVAL * found[0].strength]
     return found_here + [Region(one.region.boundary * scale, one.region.area * scale**2) for one in others]
@@ -79,16 +83,17 @@ def _candidates(small: npt.NDArray[np.uint8]) -> list[_Candidate]:
     cost = np.clip((np.float32(_CANDIDATE) - distance) / 6, -3, 2).astype(np.float32)
     plane = least_variation(cost, np.ones_like(cost), 80)
     strengths, change = np.minimum(distance, 150.0), np.sqrt(_change(ratios))
-    typical = float(np.median(change)) + 1e-3
+    texture = float(np.quantile(change[alike], 0.99)) + 1e-3
     found = []
     for one in regions(plane, 12):
         mask = filled(one.boundary, (height, width))
-        edge = float(change[grown(mask, 1) & ~grown(mask, -1)].mean()) / typical
-        found.append(_Candidate(one, float(strengths[mask].sum()) * edge**2))
+        sharpness = float(np.sort(change[grown(mask, 1)])[-_EDGE:].mean()) / texture
+        if sharpness > _SHARP:
+            found.append(_Candidate(one, float(strengths[mask].sum()) * sharpness))
     return sorted(found, key=lambda one: -one.strength)
 
 
-def _refined(cut: npt.NDArray[np.uint8], seed: Mask, shadows: bool = True) -> Plane:
+def _refined(cut: npt.NDArray[np.uint8], seed: Mask, zoom: float, shadows: bool = True) -> Plane:
     """Return the coverage [h, w] of the object in a cut, given roughly by a seed."""
     shape = (cut.shape[0], cut.shape[1])
     size = max(2, round(0.08 * float(seed.sum()) ** 0.5))
@@ -120,7 +125,7 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, shadows: bool = True) -> Pl
         if inside.sum() < 8:
             break
         chosen = inside.ravel()
-    return _halved(ratios, coverage)
+    return _halved(ratios, coverage, zoom)
 
 
 def _shadow(
@@ -188,24 +193,39 @@ def _change(ratios: Plane) -> Plane:
     return change
 
 
-def _halved(ratios: Plane, coverage: Plane) -> Plane:
-    """Place the boundary where a pixel is half object and half table, by the colours on both sides of it."""
-    for _ in range(2):
+def _halved(ratios: Plane, coverage: Plane, zoom: float) -> Plane:
+    """Place the boundary where a pixel is half object and half table, by the colours on both sides of it.
+
+    Args:
+        ratios: (h, w, 3) colours over those of the table.
+        coverage: (h, w) of the object, to within the blur of the picture.
+        zoom: pixels here for a pixel of the picture, by which its blur has grown.
+    """
+    reach = max(2, round(_BLUR * zoom))
+    for _ in range(3):
         mask = coverage > 0.5
-        inside, outside = grown(mask, -2), ~grown(mask, 2)
-        if inside.sum() < 20:
-            inside = grown(mask, -1) if grown(mask, -1).any() else mask
-        here, there = _nearby(ratios, inside), _nearby(ratios, outside)
+        here = _nearby(ratios, _core(mask, reach), 1.5 * reach)
+        there = _nearby(ratios, ~grown(mask, reach), 1.5 * reach)
         along = here - there
-        share = ((ratios - there) * along).sum(axis=2) / np.maximum((along**2).sum(axis=2), 1e-4)
-        band = grown(mask, 2) & ~grown(mask, -2)
+        axis = along - np.float32(_SHADE) * along.mean(axis=2, keepdims=True)
+        share = ((ratios - there) * axis).sum(axis=2) / np.maximum((along * axis).sum(axis=2), 1e-4)
+        band = grown(mask, reach) & ~grown(mask, -reach)
         coverage = np.where(band, np.clip(share, 0.0, 1.0), mask).astype(np.float32)
     return coverage
 
 
-def _nearby(ratios: Plane, mask: Mask) -> Plane:
+def _core(mask: Mask, depth: int) -> Mask:
+    """Return the pixels of a mask that are that deep inside, or the deepest."""
+    for less in range(depth, 0, -1):
+        core = grown(mask, -less)
+        if core.sum() >= 20:
+            return core
+    return mask
+
+
+def _nearby(ratios: Plane, mask: Mask, sigma: float) -> Plane:
     """Return the mean colour of the pixels of a mask around each pixel, [h, w, 3]."""
     weights = mask[..., None].astype(np.float32)
-    total = blurred(np.concatenate([ratios * weights, weights], axis=2), 3.0)
+    total = blurred(np.concatenate([ratios * weights, weights], axis=2), sigma)
     mean = (ratios * weights).sum(axis=(0, 1)) / max(float(weights.sum()), 1.0)
     return np.asarray((total[..., :3] + np.float32(1e-4) * mean) / (total[..., 3:] + np.float32(1e-4)))
