@@ -26,6 +26,7 @@ RIVAL: Final = 0.25  # of the strongest candidate's strength: another object
 _CANDIDATE: Final = 14.0  # squared Mahalanobis distance from the table where a candidate begins
 _EDGE: Final = 10  # pixels: the sharpest of a candidate are its edge
 _SHARP: Final = 1.6  # of the sharpest percent of the table: a blunter candidate is a stain
+_DISTINCT: Final = 40.0  # ... where a pixel is surely no table
 _PIECE: Final = 0.1  # of the largest area: another piece of the same candidate
 _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
 _SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
@@ -100,10 +101,11 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, zoom: float, shadows: bool 
     outside = ~grown(seed, size)
     ratios, _ = light_ratios(cut, outside.astype(np.float32) + np.float32(1e-3), 2)
     colours = ratios.reshape(-1, 3)
-    inner = grown(seed, -max(1, size // 3))
-    if inner.sum() < 40:
-        inner = seed
     table = sampled(colours[outside.ravel()])
+    sure = seed & _distinct(ratios, table, seed)
+    inner = grown(sure, -max(1, size // 3))
+    if inner.sum() < 40:
+        inner = sure
     shadow, chosen = _shadow(colours, table, seed, inner.ravel())
     if not shadows:
         shadow, chosen = np.full_like(shadow, -60.0), inner.ravel()
@@ -126,6 +128,13 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, zoom: float, shadows: bool 
             break
         chosen = inside.ravel()
     return _halved(ratios, coverage, zoom)
+
+
+def _distinct(ratios: Plane, table: Colours, seed: Mask) -> Mask:
+    """Return the pixels [h, w] that differ from the table about as much as most of a seed does."""
+    covariance = (np.cov(table.T) * 1.3 + np.eye(3) * 0.01**2).astype(np.float32)
+    distance = squares(blurred(ratios, 1.0) - np.float32(1.0), covariance)
+    return np.asarray(distance > min(float(np.quantile(distance[seed], 0.9)) / 8.0, _DISTINCT))
 
 
 def _shadow(
