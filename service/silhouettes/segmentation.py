@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from service.silhouettes.mixtures import Colours, fitted, sampled, squares
 from service.silhouettes.planes import Mask, Plane, blurred, filled, grown, least_variation, reduced, resized
-from service.silhouettes.tables import light_ratios
+from service.silhouettes.tables import DARK, light_ratios
 from service.silhouettes.tracing import Region, regions
 from service.turns import pause
 
@@ -25,14 +25,14 @@ _SCALES: Final = ((0.7, 1.0), (1.5, 1.0), (3.5, 0.7))  # blur in pixels, and wei
 RIVAL: Final = 0.25  # of the strongest candidate's strength: another object
 _CANDIDATE: Final = 14.0  # squared Mahalanobis distance from the table where a candidate begins
 _EDGE: Final = 10  # pixels: the sharpest of a candidate are its edge
-_SHARP: Final = 1.6  # of the sharpest percent of the table: a blunter candidate is a stain
+_SHARP: Final = 1.5  # of the sharpest percent of the table: a blunter candidate is a stain
 _DISTINCT: Final = 40.0  # ... where a pixel is surely no table
 _PIECE: Final = 0.1  # of the largest area: another piece of the same candidate
 _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
 _SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
 _SHADOW_STEP: Final = 0.2  # of brightness, between a grey object and its shadow
 _BLUR: Final = 2.0  # pixels of the picture, on either side of a boundary
-_SHADE: Final = 0.7  # of a difference in brightness that may be a shadow
+_SHADE: Final = 0.5  # of a difference in brightness that may be a shadow
 _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 
 
@@ -106,7 +106,8 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, zoom: float, shadows: bool 
     inner = grown(sure, -max(1, size // 3))
     if inner.sum() < 40:
         inner = sure
-    shadow, chosen = _shadow(colours, table, seed, inner.ravel())
+    dimmed = np.float32(1.0) - DARK / (cut[outside].mean(axis=0).astype(np.float32) / np.float32(255.0) + DARK)
+    shadow, chosen = _shadow(colours, table, dimmed, seed, inner.ravel())
     if not shadows:
         shadow, chosen = np.full_like(shadow, -60.0), inner.ravel()
     near = grown(seed, 2 * size)
@@ -138,21 +139,22 @@ def _distinct(ratios: Plane, table: Colours, seed: Mask) -> Mask:
 
 
 def _shadow(
-    colours: Colours, table: Colours, seed: Mask, inner: npt.NDArray[np.bool_]
+    colours: Colours, table: Colours, dimmed: Colours, seed: Mask, inner: npt.NDArray[np.bool_]
 ) -> tuple[Colours, npt.NDArray[np.bool_]]:
     """Return the logarithm of the density of a shadow (n,), and the pixels of the seed that are no shadow.
 
-    In a shadow, all channels are darker by the same factor. Where nearly all of the seed is so, the object itself is
+    In a shadow, all channels lose the same share of their light: the ratios of a shadow lie on a line from the table
+    towards that of no light, ``dimmed`` (3,) away. Where nearly all of the seed is so, the object itself is
     grey: then a lighter part of it that is clearly apart is its shadow, if there is one.
     """
-    one = np.full(3, 3.0**-0.5, dtype=np.float32)
+    one = dimmed / np.linalg.norm(dimmed)
     along: Colours = np.asarray((colours - np.float32(1.0)) @ one, dtype=np.float32)
     across: Plane = colours - np.float32(1.0) - along[:, None] * one
     table_along: Colours = np.asarray((table - np.float32(1.0)) @ one, dtype=np.float32)
     table_across: Colours = table - np.float32(1.0) - table_along[:, None] * one
     covariance = (np.cov(table_across.T) * 1.5 + np.eye(3) * 0.025**2).astype(np.float32)
     hue = squares(across, covariance)
-    depth = np.float32(-(3.0**0.5) * _SHADOW_DEPTH)
+    depth = np.float32(-_SHADOW_DEPTH * np.linalg.norm(dimmed))
     dark = (along < 0.0) & (along > depth)
     width = float(np.log(np.linalg.det(covariance.astype(np.float64))))
     density: Colours = np.where(dark, -0.5 * hue - 0.5 * width + 0.92 - np.log(-depth), -60.0) + _SHADOW_PRIOR

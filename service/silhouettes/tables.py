@@ -10,7 +10,7 @@ from service.silhouettes.planes import Mask, Plane
 
 NOISE: Final = 0.012  # least standard deviation of a table's pixels
 _FLOOR: Final = np.eye(3, dtype=np.float32) * np.float32(NOISE**2)
-_DARK: Final = np.float32(0.08)  # added to levels of 0 to 1, so that ratios of dark ones stay calm
+DARK: Final = np.float32(0.08)  # added to levels of 0 to 1, so that ratios of dark ones stay calm
 _ROUNDS: Final = 6
 _INLIER: Final = 9.0  # squared Mahalanobis distance up to which a pixel may belong to the table
 
@@ -27,7 +27,7 @@ def light_ratios(levels: npt.NDArray[np.uint8], weights: Plane, degree: int) -> 
         degree: of the polynomial.
     """
     height, width = levels.shape[:2]
-    colours = levels.reshape(-1, 3).astype(np.float32) / np.float32(255.0) + _DARK
+    colours = levels.reshape(-1, 3).astype(np.float32) / np.float32(255.0) + DARK
     terms, degrees = _terms(height, width, degree)
     prior = weights.ravel()
     kept = prior
@@ -36,7 +36,7 @@ def light_ratios(levels: npt.NDArray[np.uint8], weights: Plane, degree: int) -> 
         weighted = used * kept[:, None]
         normal = (weighted.T @ used).astype(np.float64) + 1e-6 * kept.sum() * np.eye(used.shape[1])
         factors = np.linalg.solve(normal, weighted.T @ colours).astype(np.float32)
-        table = np.maximum(used @ factors, _DARK / np.float32(2.0))
+        table = np.maximum(used @ factors, DARK / np.float32(2.0))
         ratios: Plane = colours / table
         offsets: Plane = ratios - np.float32(1.0)
         covariance = (offsets * kept[:, None]).T @ offsets / kept.sum() + _FLOOR
