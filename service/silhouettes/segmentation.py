@@ -32,7 +32,7 @@ _ROOM: Final = 0.3  # of the object's extent: table around it in the cut
 _SHADOW_DEPTH: Final = 0.58  # loss of light in the deepest shadow
 _SHADOW_STEP: Final = 0.2  # of brightness, between a grey object and its shadow
 _BLUR: Final = 2.0  # pixels of the picture, on either side of a boundary
-_SHADE: Final = 0.5  # of a difference in brightness that may be a shadow
+_SHADE: Final = 0.7  # of a difference in brightness that may be a shadow
 _SHADOW_PRIOR: Final = np.float32(-1.4)  # logarithm
 
 
@@ -107,7 +107,7 @@ def _refined(cut: npt.NDArray[np.uint8], seed: Mask, zoom: float, shadows: bool 
     if inner.sum() < 40:
         inner = sure
     dimmed = np.float32(1.0) - DARK / (cut[outside].mean(axis=0).astype(np.float32) / np.float32(255.0) + DARK)
-    shadow, chosen = _shadow(colours, table, dimmed, seed, inner.ravel())
+    shadow, chosen = _shadow(colours, table, dimmed, sure, inner.ravel())
     if not shadows:
         shadow, chosen = np.full_like(shadow, -60.0), inner.ravel()
     near = grown(seed, 2 * size)

@@ -74,7 +74,7 @@ def simplified(boundary: DoubleArray, most: int, tolerance: float) -> DoubleArra
     heapq.heapify(gaps)
     while gaps and len(kept) < most:
         distance, at, start, end = heapq.heappop(gaps)
-        if -distance <= tolerance and len(kept) > 2:
+        if -distance <= tolerance and (len(kept) > 2 or distance == 0.0):
             break
         kept.add(at)
         for part in (_farthest(loop, start, at), _farthest(loop, at, end)):
