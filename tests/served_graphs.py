@@ -132,3 +132,10 @@ def random_question(
         return np.hstack([pushers, lengths]), tensors, index
     shape = (INDICATOR_LENGTH,) if kind is ContextKind.INDICATOR else (1, VISUAL_SIZE, VISUAL_SIZE)
     return pushers, (rng.random((contexts, *shape), dtype=np.float32),), index
+
+
+def same_numbers(kind: ContextKind, found: FloatArray, expected: FloatArray) -> bool:
+    """Compare predictions of the same rows in two batches, to the bit, and of shapes to rounding."""
+    if kind is ContextKind.SHAPE:
+        return bool(np.allclose(found, expected, rtol=1e-4, atol=1e-6))
+    return found.tobytes() == expected.tobytes()

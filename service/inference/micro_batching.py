@@ -3,8 +3,8 @@
 Under load an iteration reads many requests. onnxruntime reads the weights of a model once per call, and between two
 calls the other work of a request evicts them from the cache of the core: to read them again takes longer than the rest
 of a push (``benchmarks/serving.py``). No request waits for others: the call runs at the end of the iteration. The
-prediction of a push is the same to the bit in every micro-batch (see ``service.model.predictor``). If a call fails,
-each of its pushes is predicted alone.
+prediction of a push is the same in every micro-batch (see ``service.model.predictor``). If a call fails, each of its
+pushes is predicted alone.
 
 Calls are bounded in time, by the cost of the version, and so are all calls of one iteration. What is left is predicted
 in the next one, so that other events come in between.

@@ -29,7 +29,8 @@ _TYPES: Final = {"float32": "tensor(float)", "int64": "tensor(int64)"}
 class Predictor(Protocol):
     """A predictor of one model version. Units are those that the manifest declares.
 
-    The prediction of a row depends on that row and its context alone, to the bit.
+    The prediction of a row depends on that row and its context alone: to the bit, and of a graph that sums over parts
+    of an object, as mechanics does, to a few units in the last digit.
     """
 
     @property
@@ -116,6 +117,7 @@ class OnnxPredictor:
             found = found.rows(slice(count))
         if not _is_gaussian(found):
             raise PredictionError("the model gave a number that is not finite, or a std that is not positive")
+        np.add(found.mean, 0.0, out=found.mean)  # an object that stays is at 0, not at -0
         return found
 
     def _run(self, feed: dict[str, Any]) -> Any:

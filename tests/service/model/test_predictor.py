@@ -16,9 +16,10 @@ from service.model.reference import ModelReference
 from service.model.tensors import ContextKind, Gaussians
 from service.pushing.contexts import ObjectContext
 from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
+from service.pushing.shape_context import ShapeContext
 from service.registry.registry import Registry
 from service.transport.threads import ThreadPool
-from tests.served_graphs import random_question, served_predictor
+from tests.served_graphs import BOX, random_question, same_numbers, served_predictor, shape_tensors
 
 NONE, INDICATOR = ((expected_inputs(kind), OUTPUTS) for kind in (ContextKind.NONE, ContextKind.INDICATOR))
 CHAMPION = expected_inputs(ContextKind.INDICATOR), OUTPUTS_WITH_UNFAMILIARITY
@@ -79,7 +80,7 @@ def test_onnxruntime_sends_no_telemetry(project_root: Path, tmp_path: Path) -> N
 
 @pytest.mark.parametrize("kind", list(ContextKind))
 def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: ContextKind) -> None:
-    """A row gets the same bits in a batch of any size and at any place, for every model that ships."""
+    """A row gets the same bits in a batch of any size and at any place, and of a shape the same to rounding."""
     predictor, rng = served_predictor(project_root, kind), np.random.default_rng(2)
     pusher, contexts, index = random_question(kind, 600, 30)
     together = joined(predictor.predict(pusher, contexts, index))
@@ -91,12 +92,21 @@ def test_a_row_does_not_depend_on_the_rows_beside_it(project_root: Path, kind: C
         else:
             objects, places = np.unique(index[rows], return_inverse=True)
             found = predictor.predict(pusher[rows], tuple(tensor[objects] for tensor in contexts), places)
-        assert joined(found).tobytes() == together[rows].tobytes(), count
+        assert same_numbers(kind, joined(found), together[rows]), count
 
 
 def joined(found: Gaussians) -> np.ndarray:
     """Return all numbers of predictions (n, 6 or 8)."""
     return np.hstack([part for part in found if part is not None])
+
+
+def test_an_object_that_stays_is_at_zero(project_root: Path) -> None:
+    """The mean of a push that misses is 0 and not -0, which people would read as a small number that was cut."""
+    pusher = np.array([[0.2, 0.0, 0.1, 0.05], [-0.2, 0.1, 3.0, 0.05]], dtype=np.float32)
+    contexts, index = shape_tensors(ShapeContext(BOX)), np.zeros(2, dtype=np.int64)
+    mean = served_predictor(project_root, ContextKind.SHAPE).predict(pusher, contexts, index).mean
+    assert (mean == 0.0).all()
+    assert not np.signbit(mean).any()
 
 
 @pytest.mark.parametrize("model", [b"", b"not a model", b"\x08\x0a" * 50], ids=["empty", "text", "noise"])
