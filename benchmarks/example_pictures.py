@@ -53,10 +53,14 @@ def polygon(
     return np.asarray(turned - (turned.min(axis=0) + turned.max(axis=0)) / 2.0 + np.array(SIZE) * middle)
 
 
+def wrench() -> npt.NDArray[np.float64]:
+    """Return the corners of the wrench in ``VIEW_FILE``, in pixels from the upper left corner."""
+    return polygon("wrench", WRENCH_M, WRENCH_SEED, 0.0, (0.52, 0.47))
+
+
 def draw_view(path: Path) -> None:
     """Draw the photograph of a wrench on a wooden table."""
-    wrench = polygon("wrench", WRENCH_M, WRENCH_SEED, 0.0, (0.52, 0.47))
-    shown = photograph_of(wrench, SIZE, "wood", np.random.default_rng(PHOTOGRAPH_SEED))
+    shown = photograph_of(wrench(), SIZE, "wood", np.random.default_rng(PHOTOGRAPH_SEED))
     few = Image.fromarray(shown.levels).quantize(COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     few.save(path, optimize=True)
 

@@ -12,12 +12,10 @@ import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
-from PIL import Image
 
 from service import errors
 from service.cli.main import main
@@ -44,9 +42,7 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a working folder with the image of the examples."""
-    grey = np.zeros((64, 64), dtype=np.uint8)
-    grey[20:44, 20:44] = 128
-    Image.fromarray(grey).save(tmp_path / "view.png")
+    shutil.copy(ROOT / "docs" / "images" / "view.png", tmp_path)
     return tmp_path
 
 
