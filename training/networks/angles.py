@@ -25,6 +25,13 @@ class PushForm(StrEnum):
 FEATURES_ADDED: Final = {PushForm.RAW: 0, PushForm.CIRCULAR: 1, PushForm.PUSH_FRAME: 4}
 
 
+# Constant matrices of ``products``, and of their sums.
+_VECTORS: Final = ((1.0, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0, 1.0))
+_DIRECTIONS: Final = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 1.0, 0.0))
+_PASSING: Final = ((-1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # the way to the centre, and the offset
+_TURNING: Final = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, 1.0))  # a vector of the push frame, in the object's
+
+
 def wrapped(angle_rad: Tensor) -> Tensor:
     """Wrap angles to (-pi, pi]: the torch form of ``service.pushing.poses.wrap_angles``, which exports to ONNX."""
     return angle_rad - 2.0 * math.pi * torch.ceil((angle_rad - math.pi) / (2.0 * math.pi))
@@ -56,13 +63,11 @@ def in_push_frame(pusher: Tensor) -> Tensor:
     centre, and the distance of the start. A push misses if the line is far from the centre, or the centre behind.
     """
     known = published_normalisation()
-    x, y, cosine, sine = circular(pusher).unbind(-1)
-    x_m, y_m = (at * float(known.input_std[axis]) + float(known.input_mean[axis]) for axis, at in enumerate((x, y)))
-    scale_m = float(known.input_std[0])
-    along, aside = -(x_m * cosine + y_m * sine), x_m * sine - y_m * cosine
-    return torch.stack(
-        [x, y, cosine, sine, along / scale_m, aside / scale_m, torch.sqrt(along**2 + aside**2) / scale_m], dim=-1
-    )
+    posed = circular(pusher)
+    position, direction = torch.split(posed, [2, 2], dim=-1)
+    place_m = position * posed.new_tensor(known.input_std[:2]) + posed.new_tensor(known.input_mean[:2])
+    passing = products(place_m, direction) @ (posed.new_tensor(_PASSING) / float(known.input_std[0]))
+    return torch.cat([posed, passing, torch.linalg.vector_norm(passing, dim=-1, keepdim=True)], dim=-1)
 
 
 def from_push_frame(mean: Tensor, pusher: Tensor) -> Tensor:
@@ -71,9 +76,16 @@ def from_push_frame(mean: Tensor, pusher: Tensor) -> Tensor:
     The frame of the push (..., 3) has its first axis along the push. A mean of 0 is an object at rest.
     """
     known = published_normalisation()
-    _, _, cosine, sine = circular(pusher).unbind(-1)
-    along, aside, turn = mean.unbind(-1)
-    unit_m = float(known.output_std[0])
-    moved = (cosine * along - sine * aside) * unit_m, (sine * along + cosine * aside) * unit_m
-    x, y = ((at_m - float(known.output_mean[axis])) / float(known.output_std[axis]) for axis, at_m in enumerate(moved))
-    return torch.stack([x, y, turn - float(known.output_mean[2] / known.output_std[2])], dim=-1)
+    _, direction = torch.split(circular(pusher), [2, 2], dim=-1)
+    moved, turn = torch.split(mean, [2, 1], dim=-1)
+    unit = float(known.output_std[0]) / mean.new_tensor(known.output_std[:2])
+    place = products(moved, direction) @ (mean.new_tensor(_TURNING) * unit)
+    return torch.cat([place, turn], dim=-1) - mean.new_tensor(known.output_mean) / mean.new_tensor(known.output_std)
+
+
+def products(vectors: Tensor, directions: Tensor) -> Tensor:
+    """Return the products x cos, y sin, x sin, y cos (..., 4) of vectors and directions (..., 2).
+
+    Sums of them turn vectors. As products by constants they are few operators of a graph, where each column is three.
+    """
+    return (vectors @ vectors.new_tensor(_VECTORS)) * (directions @ vectors.new_tensor(_DIRECTIONS))

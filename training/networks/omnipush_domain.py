@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from service.model.tensors import ContextKind
 from service.pushing.contexts import BITS_PER_SIDE, SIDES, VISUAL_SIZE
+from training.networks.angles import products
 from training.networks.familiarity import FeatureRanges, FeatureSpace
 
 PUSH_FEATURES: Final = ("start_distance_m", "aim_offset_m")
@@ -21,7 +22,8 @@ EXPOSURE_FEATURES: Final = ("view_mean", "view_contrast")
 VIEW_AXES: Final = 96
 FALSE_ALARMS: Final = 0.003  # of each threshold, among views of objects that the axes were not fitted to
 KEPT_BACK: Final = 6  # every sixth object is kept from the axes and sets the thresholds
-_WEIGHT_BITS: Final = slice(5, BITS_PER_SIDE)  # of a side: those of weights b, c, B and C
+_WEIGHT_BITS: Final = [[float(bit % BITS_PER_SIDE >= 5)] for bit in range(SIDES * BITS_PER_SIDE)]  # of b, c, B and C
+_OFFSET: Final = [[0.0], [0.0], [1.0], [-1.0]]  # of a line from the centre: x sin - y cos
 _LEAST_CONTRAST: Final = 0.02  # below it a view is noise, which is not scaled up further
 
 
@@ -55,11 +57,11 @@ class OmnipushDomain(nn.Module):
         return self
 
     def forward(self, pushers: Tensor, context: Tensor | None = None, context_index: Tensor | None = None) -> Tensor:
-        """Return the distances (n, 2) of pushes (n, 3), angles in (-pi, pi], and of the objects that they meet."""
+        """Return the distances (n, 2) of pushes (n, 3), and of the objects that they meet."""
         push = self.pushes_of(pushers)
         if context is None or context_index is None:
             return torch.stack([push, torch.zeros_like(push)], dim=-1)
-        return torch.stack([push, self.objects_of(context)[context_index]], dim=-1)
+        return torch.stack([push, torch.index_select(self.objects_of(context), 0, context_index)], dim=-1)
 
     def ranges(self) -> dict[str, list[float]]:
         """Return [low, high] of each named feature, for the manifest."""
@@ -80,14 +82,15 @@ class OmnipushDomain(nn.Module):
 
 def push_features(pushers: Tensor) -> Tensor:
     """Return the features (n, 2) of pushes (n, 3): distance of the start from the centre, and of the line from it."""
-    x_m, y_m, angle_rad = pushers.unbind(-1)
-    aim_m = torch.abs(x_m * torch.sin(angle_rad) - y_m * torch.cos(angle_rad))
-    return torch.stack([torch.sqrt(x_m**2 + y_m**2), aim_m], dim=-1)
+    place_m, angle_rad = torch.split(pushers, [2, 1], dim=-1)
+    direction = torch.cat([torch.cos(angle_rad), torch.sin(angle_rad)], dim=-1)
+    aim_m = torch.abs(products(place_m, direction) @ pushers.new_tensor(_OFFSET))
+    return torch.cat([torch.linalg.vector_norm(place_m, dim=-1, keepdim=True), aim_m], dim=-1)
 
 
 def weights(indicators: Tensor) -> Tensor:
     """Count the weights (objects, 1) of indicators (objects, 36)."""
-    return indicators.reshape(-1, SIDES, BITS_PER_SIDE)[..., _WEIGHT_BITS].sum(dim=(1, 2))[:, None]
+    return indicators @ indicators.new_tensor(_WEIGHT_BITS)
 
 
 def without_exposure(views: Tensor) -> Tensor:

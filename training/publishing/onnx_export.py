@@ -17,7 +17,7 @@ from service.errors import PublishError
 from service.model.tensors import ContextKind
 from service.model.tensors import Tensor as TensorRecord
 from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
-from training.networks.angles import wrapped
+from training.networks.angles import PushForm, wrapped
 from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PushNetwork
 from training.omnipush.published import published_normalisation
@@ -54,7 +54,7 @@ class ServedNetwork(nn.Module):
         mean, std = self.before_wrapping(pusher, context, context_index)
         if self.domain is None:
             return wrap_last(mean), std
-        return wrap_last(mean), std, self.domain(wrap_last(pusher), context, context_index)
+        return wrap_last(mean), std, self.domain(pusher, context, context_index)
 
     def before_wrapping(
         self, pusher: Tensor, context: Tensor | None = None, context_index: Tensor | None = None
@@ -63,8 +63,10 @@ class ServedNetwork(nn.Module):
         conditioning = None
         if context is not None and context_index is not None:
             conditioning = self.network.conditioning(context)  # (g, 256): once per object
-            conditioning = None if conditioning is None else conditioning[context_index]  # (n, 256)
-        mean, log_std = self.network.gaussian((wrap_last(pusher) - self.input_mean) / self.input_std, conditioning)
+            if conditioning is not None:
+                conditioning = torch.index_select(conditioning, 0, context_index)  # (n, 256)
+        given = wrap_last(pusher) if self.network.form is PushForm.RAW else pusher  # the others take cosine and sine
+        mean, log_std = self.network.gaussian((given - self.input_mean) / self.input_std, conditioning)
         return mean * self.output_std + self.output_mean, torch.exp(log_std) * (self.output_std * self.scale)
 
 
