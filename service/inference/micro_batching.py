@@ -22,14 +22,15 @@ from typing import Final
 import numpy as np
 
 from service.background.supervision import ENDINGS, carried
-from service.inference.query import Answer, ContextBatch, Query, predict
+from service.inference.query import Answer, ContextBatch, Query, Warnings, predict
 from service.model.tensors import FloatArray, Gaussians
 from service.observability.timings import record_timing
+from service.validity.judging import find_warnings_of_each
 
 MAX_PUSHES_PER_CALL: Final = 64  # holds the event loop for a tenth of a millisecond
 CALL_S: Final = 0.01  # of a call in the event loop, at most. A version that takes longer for one push needs a thread.
 ITERATION_S: Final = 0.02  # of all calls of an iteration: no other begins after it
-Prediction = tuple[Gaussians, float]  # of one push, and the seconds that the call took
+Prediction = tuple[Gaussians, Warnings, float]  # of one push, and the seconds that the call took
 Outcome = Prediction | BaseException
 Callback = Callable[[Outcome], None]
 _Waiting = tuple[Query, Callback]
@@ -72,9 +73,9 @@ class MicroBatcher:
                 future.set_result(outcome)
 
         self.submit(query, callback)
-        found, seconds = await future
+        found, warnings, seconds = await future
         record_timing("inference", seconds)
-        return query.encode(found, query.judge(found))
+        return query.encode(found, warnings)
 
     def flush(self) -> None:
         """Predict the waiting pushes now."""
@@ -147,12 +148,14 @@ def _call(callback: Callback, outcome: Outcome) -> None:
 
 
 def _predict(queries: Sequence[Query]) -> list[Prediction]:
+    model = queries[0].model
+    pushers, contexts = _together(queries)
     began = time.perf_counter()
-    found = predict(queries[0].model, *_together(queries))
+    found = predict(model, pushers, contexts)
     seconds = time.perf_counter() - began
-    if len(queries) == 1:
-        return [(found, seconds)]
-    return [(found.rows(slice(row, row + 1)), seconds) for row in range(len(queries))]
+    angles, own = [query.angles for query in queries], [query.contexts for query in queries]
+    warnings = find_warnings_of_each(model.manifest, pushers, angles, own, found)
+    return list(zip(found.each() if len(queries) > 1 else [found], warnings, itertools.repeat(seconds)))
 
 
 def _together(queries: Sequence[Query]) -> tuple[FloatArray, ContextBatch]:

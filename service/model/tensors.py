@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,11 @@ class Gaussians(NamedTuple):
         """Return the predictions of some of the rows."""
         known = self.unfamiliarity
         return Gaussians(self.mean[part], self.std[part], None if known is None else known[part])
+
+    def each(self) -> list["Gaussians"]:
+        """Return the predictions of each row alone."""
+        known = repeat(None) if self.unfamiliarity is None else self.unfamiliarity[:, None]
+        return list(map(Gaussians, self.mean[:, None], self.std[:, None], known))
 
 
 class ContextKind(StrEnum):

@@ -30,6 +30,9 @@ from service.schemas.rows import MAX_PUSHES, Rows
 from service.schemas.shapes import OUTLINE_EXAMPLE
 from service.validity.codes import Angles
 
+_USUAL_LENGTH_M: Final = np.array([PUSH_LENGTH_M])
+_USUAL_LENGTH_M.setflags(write=False)
+
 
 class PusherBody(Body):
     """Push: pose of the pusher's tip before it, in the object frame, or in the world with ``object_pose``; length."""
@@ -158,7 +161,7 @@ class PredictRequest(Prediction):
 
     def lengths_m(self) -> DoubleArray:
         """Return the length of the push, (1,)."""
-        return np.array([self.pusher.length])
+        return _USUAL_LENGTH_M if self.pusher.length == PUSH_LENGTH_M else np.array([self.pusher.length])
 
 
 _Length = Annotated[float, Field(gt=0.0, le=MAX_LENGTH_M)]

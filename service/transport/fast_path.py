@@ -160,10 +160,10 @@ class Shortcut:
         if isinstance(outcome, BaseException):
             self._refuse(request, record, reply, outcome)
             return
-        found, seconds = outcome
+        found, warnings, seconds = outcome
         record.timings.append(("inference", seconds))
         try:
-            answer = query.encode(found, query.judge(found))
+            answer = query.encode(found, warnings)
         except ENDINGS:
             raise
         except BaseException as error:  # a bug here must not leave the client without an answer

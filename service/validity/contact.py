@@ -59,7 +59,8 @@ def is_plain_contact(known: KnownObject, x: float, y: float, angle: float, lengt
     """Return True if a push surely starts outside and touches, as the bounds alone show. A few microseconds."""
     beside, above = (x, y) if abs(x) >= abs(y) else (y, x)
     side = (0 if x > 0.0 else 2) if abs(x) >= abs(y) else (1 if y > 0.0 else 3)
-    if abs(beside) <= known.reach_m[side] + radius_m and abs(above) <= known.half_width_m + radius_m:
+    is_near = abs(beside) <= known.reach_m[side] + radius_m and abs(above) <= known.half_width_m + radius_m
+    if is_near and math.hypot(x, y) <= known.furthest_m + radius_m:
         return False
     cos, sin = math.cos(angle), math.sin(angle)
     for centre_x, centre_y, disc_m in known.discs:
@@ -136,4 +137,4 @@ def _may_start_inside(known: KnownObject, pushers: DoubleArray, radius_m: float)
     above = np.where(y > 0.0, second, fourth) + radius_m
     near_x, near_y = np.abs(x) <= beside, np.abs(y) <= above
     thin = np.minimum(np.abs(x), np.abs(y)) <= known.half_width_m + radius_m
-    return np.asarray(near_x & near_y & thin)
+    return np.asarray(near_x & near_y & thin & (np.hypot(x, y) <= known.furthest_m + radius_m))

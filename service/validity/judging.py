@@ -1,12 +1,12 @@
 """Judging of pushes, their objects and their predictions: all warnings of an answer.
 
-A single push without any warning is recognised by bounds that take a few microseconds. Everything else is judged in
-columns. Contact is known for objects whose form is known: by descriptor, from a view, or from the answer of a model of
-any shape, which is exactly zero for a push that misses.
+A single push without any warning is recognised by bounds that take a microsecond. Everything else is judged in columns.
+Contact is known for objects whose form is known: by descriptor, from a view, or from the answer of a model of any
+shape, which is exactly zero for a push that misses.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -59,9 +59,44 @@ def find_warnings(
         contexts: of the pushes.
         found: the predictions.
     """
-    is_alone = len(pushers) == 1 and (not contexts.tensors or len(contexts.tensors[0]) == 1)
-    if is_alone and _is_plain(manifest, pushers, angles, contexts, found):
-        return NO_WARNINGS
+    if len(pushers) == 1 and (not contexts.tensors or len(contexts.tensors[0]) == 1):
+        return find_warnings_of_each(manifest, pushers, [angles], [contexts], found)[0]
+    return _judge(manifest, pushers, angles, contexts, found)
+
+
+def find_warnings_of_each(
+    manifest: Manifest,
+    pushers: FloatArray,
+    angles: Sequence[Angles],
+    contexts: Sequence[Contexts],
+    found: Gaussians,
+) -> list[tuple[AnswerWarning, ...]]:
+    """Return the warnings of each of some single pushes, which were predicted together.
+
+    Args:
+        manifest: see ``find_warnings``.
+        pushers: see ``find_warnings``.
+        angles: of each request.
+        contexts: of each push, one context or none.
+        found: see ``find_warnings``.
+    """
+    rows, means = pushers.tolist(), found.mean.tolist()
+    distances = [None] * len(rows) if found.unfamiliarity is None else found.unfamiliarity.tolist()
+    warnings = []
+    for number, row in enumerate(rows):
+        sent, context = angles[number], contexts[number]
+        if _is_plain(manifest, row, sent, context, distances[number], means[number]):
+            warnings.append(NO_WARNINGS)
+        else:
+            part = slice(number, number + 1)
+            warnings.append(_judge(manifest, pushers[part], sent, context, found.rows(part)))
+    return warnings
+
+
+def _judge(
+    manifest: Manifest, pushers: FloatArray, angles: Angles, contexts: Contexts, found: Gaussians
+) -> tuple[AnswerWarning, ...]:
+    """Judge pushes in columns. See ``find_warnings``."""
     rows = np.full((len(pushers), 4), PUSH_LENGTH_M)
     rows[:, : pushers.shape[1]] = pushers
     warnings = []
@@ -74,17 +109,24 @@ def find_warnings(
     return tuple(warnings)
 
 
-def _is_plain(manifest: Manifest, pushers: FloatArray, angles: Angles, contexts: Contexts, found: Gaussians) -> bool:
-    """Return True if one push surely has no warning."""
+def _is_plain(
+    manifest: Manifest,
+    pusher: Sequence[float],
+    angles: Angles,
+    contexts: Contexts,
+    distances: Sequence[float] | None,
+    mean: Sequence[float],
+) -> bool:
+    """Return True if one push surely has no warning. Numbers are plain, because numpy takes longer for one push."""
     for _, values in angles:
         if abs(values[0]) > _TURN_RAD:
             return False
-    if any(contexts.flags):
+    if contexts.flags and any(contexts.flags):
         return False
     kind, key = contexts.kind, contexts.tensors[0].tobytes() if contexts.tensors else b""
-    x, y, angle, *lengths = pushers[0].tolist()
-    if found.unfamiliarity is not None:
-        if max(found.unfamiliarity[0].tolist()) > 1.0:
+    x, y, angle = pusher[:3]
+    if distances is not None:
+        if max(distances) > 1.0:
             return False
     elif is_published_without(manifest):
         aside = math.cos(angle) * y - math.sin(angle) * x
@@ -93,11 +135,11 @@ def _is_plain(manifest: Manifest, pushers: FloatArray, angles: Angles, contexts:
         if not is_omnipush(kind, key):
             return False
     if kind is ContextKind.SHAPE:
-        return any(found.mean[0].tolist())
+        return any(mean)
     if kind is ContextKind.NONE:
         return True
     known = known_object(kind, key)
-    length = lengths[0] if lengths else PUSH_LENGTH_M
+    length = pusher[3] if len(pusher) > 3 else PUSH_LENGTH_M
     return not known.flags and is_plain_contact(known, x, y, angle, length, PUSHER_RADIUS_M)
 
 

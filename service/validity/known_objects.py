@@ -90,6 +90,7 @@ class KnownObject:
         half_width_m: no point is further than this from both axes.
         discs: discs that lie inside the object.
         margin_m: error of the form.
+        furthest_m: no point is further than this from the origin.
         flags: faults of the picture.
     """
 
@@ -98,6 +99,7 @@ class KnownObject:
     half_width_m: float
     discs: tuple[Disc, ...]
     margin_m: float = 0.0
+    furthest_m: float = _INFINITE
     flags: tuple[QualityFlag, ...] = ()
 
 
@@ -222,8 +224,13 @@ def omnipush_object(key: int) -> KnownObject:
         (xx, xy), (yx, yy) = quarter_turn(side).tolist()
         discs += [(xx * x + xy * y, yx * x + yy * y, radius) for x, y, radius in _DISCS[digit]]
     first, second, third, fourth = (_reach_m(digit) for digit in digits)
+    outline = outline_of_shapes("".join(digits))
     return KnownObject(
-        Polygon(outline_of_shapes("".join(digits))), (first, second, third, fourth), CORE_HALF_WIDTH_M, tuple(discs)
+        Polygon(outline),
+        (first, second, third, fourth),
+        CORE_HALF_WIDTH_M,
+        tuple(discs),
+        furthest_m=float(np.hypot(*outline.corners.T).max()),
     )
 
 
@@ -249,7 +256,7 @@ def viewed_object(levels: bytes) -> KnownObject:
     depth = -float(silhouette.distance_m(centre)[0]) - VIEW_MARGIN_M
     discs = ((float(centre[0, 0]), float(centre[0, 1]), depth),) if depth > 0.0 else ()
     reach = (float(right), float(top), float(left), float(bottom))
-    return KnownObject(silhouette, reach, _INFINITE, discs, VIEW_MARGIN_M, flags)
+    return KnownObject(silhouette, reach, _INFINITE, discs, VIEW_MARGIN_M, flags=flags)
 
 
 @lru_cache(maxsize=len(SHAPE_DIGITS))

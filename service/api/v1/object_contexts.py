@@ -49,7 +49,13 @@ def encode_context(context: ContextBody | None) -> ContextBatch:
     """
     if context is None:
         return _NO_CONTEXT
-    kind, tensors, flags = _encode(context, context.key, _FIELD)
+    key = context.key
+    if isinstance(key, str):
+        try:
+            return _described(key)
+        except InvalidRequestError:
+            pass  # raised again below, with the field
+    kind, tensors, flags = _encode(context, key, _FIELD)
     return ContextBatch(kind, tensors, FIRST_CONTEXT, _FIELD, (flags,) if flags else ())
 
 
@@ -159,6 +165,11 @@ def _tensors(known: ObjectContext | VisualContext | ShapeContext) -> Tensors:
     """Return the tensors (1, ...) of one context, in the order of a model's inputs."""
     found = known.tensors() if isinstance(known, ShapeContext) else (known.tensor(),)
     return tuple(tensor[None] for tensor in found)
+
+
+@lru_cache(maxsize=_CACHED_DESCRIPTORS)
+def _described(descriptor: str) -> ContextBatch:
+    return ContextBatch(ContextKind.INDICATOR, (_tensor_of(descriptor),), FIRST_CONTEXT, _FIELD)
 
 
 @lru_cache(maxsize=_CACHED_DESCRIPTORS)

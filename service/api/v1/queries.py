@@ -39,15 +39,15 @@ class JsonQuery(Query):
     def encode(self, found: Gaussians, warnings: Warnings) -> Answer:
         """See ``Query.encode``."""
         name, version = self.model.manifest.name, self.model.manifest.version
-        document: dict[str, object] = {"model": {"name": name, "version": version}}
         mean, std = found.mean, found.std
         if self.frames is None:
-            document |= {"frame": "object", **self.render(mean, std, None)}
+            frame, rows = "object", self.render(mean, std, None)
         else:
             turned, covariance = into_world_frame(mean.astype(np.float64), std.astype(np.float64), self.frames)
             spread = np.ascontiguousarray(np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
-            document |= {"frame": "world", **self.render(turned, spread, covariance)}
-        document["warnings"] = self.warn(warnings)
+            frame, rows = "world", self.render(turned, spread, covariance)
+        listed = self.warn(warnings) if warnings else ()
+        document = {"model": {"name": name, "version": version}, "frame": frame, **rows, "warnings": listed}
         return Answer(orjson.dumps(document, option=_JSON), name, version, len(mean))
 
 
