@@ -295,13 +295,13 @@ def sizes_from_a_table() -> ModelProto:
 
 
 def slow_load() -> ModelProto:
-    """Multiply each row by one matrix, 400 times. onnxruntime arranges it anew for each while it loads."""
-    chain = [helper.make_node("MatMul", [f"s{place}", "square"], [f"s{place + 1}"]) for place in range(400)]
+    """Multiply each row by one matrix, 1,200 times. onnxruntime arranges it anew for each while it loads."""
+    chain = [helper.make_node("MatMul", [f"s{place}", "square"], [f"s{place + 1}"]) for place in range(1200)]
     return used(
         with_nodes(
             helper.make_node("MatMul", ["pusher", "in"], ["s0"]),
             *chain,
-            helper.make_node("ReduceSum", ["s400", "axes"], ["result"]),
+            helper.make_node("ReduceSum", ["s1200", "axes"], ["result"]),
             constants={
                 "in": np.ones((3, 1024), dtype=np.float32),
                 "square": np.ones((1024, 1024), dtype=np.float32),

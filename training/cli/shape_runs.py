@@ -17,6 +17,7 @@ from training.fitting.shape_evaluation import evaluate_shapes
 from training.fitting.shape_samples import read_shapes, shape_training_data
 from training.fitting.training_loop import fit
 from training.networks.push_network import PushNetwork
+from training.networks.shape_network import SMALL_M
 from training.publishing.shape_publish import publish_shapes
 from training.tables.push_table import PushTable
 
@@ -47,7 +48,10 @@ def evaluate_run(run: Path, recipe: Recipe, network: Network, folder: Path) -> N
             f"{100 * figures.coverage[0.9]:15.1f} %{regions} %"
         )
     echo_lines("\n".join(lines))
-    echo(f"every deviation is times {found.factor:.3f}, the conformal factor of held-out objects")
+    echo(
+        f"every deviation is times {found.factor.scale:.3f}, the conformal factor of held-out objects, and of objects "
+        f"smaller than {SMALL_M:g} m also times their ratio to the power {found.factor.small:.3f}"
+    )
     unmeasured = f"fit {recipe.name} --set-up {ALL_FAMILIES}{_data_options(folder)}, then publish it --measured {run}"
     echo(f"next: cazsl-train {unmeasured}")
 

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 
 from service.model.tensors import FloatArray
-from service.pushing.poses import wrap_angles
+from service.pushing.poses import DoubleArray, wrap_angles
 from training.fitting.evaluation import Predictions
 from training.fitting.shape_samples import ROWS_AT_ONCE, Known, ShapeBatch, ShapeSplit, draw_known, shape_batch
 from training.networks.push_network import PushNetwork
-from training.networks.shape_network import ShapeNetwork
+from training.networks.shape_network import SMALL_M, ShapeNetwork
 from training.omnipush.published import published_normalisation
 from training.tables.push_table import PushTable
 
@@ -27,10 +27,23 @@ UNSEEN: Final = "held-out-families"
 
 
 @dataclass(frozen=True)
+class Factor:
+    """Conformal factor on deviations. It grows for objects smaller than ``SMALL_M``, see ``ShapeNetwork``."""
+
+    scale: float
+    small: float
+
+    def of(self, size_m: DoubleArray) -> DoubleArray:
+        """Return the factors (n,) of pushes of objects with these sizes (n,)."""
+        factors: DoubleArray = self.scale * np.maximum(SMALL_M / size_m, 1.0) ** self.small
+        return factors
+
+
+@dataclass(frozen=True)
 class ShapeFigures:
     """Held-out predictions by the name of the part, calibrated, and the factor."""
 
-    factor: float
+    factor: Factor
     predictions: dict[str, Predictions]
     batches: dict[str, ShapeBatch]
 
@@ -71,6 +84,22 @@ def region_factor(found: Predictions) -> float:
     return math.sqrt(float(distances[rank - 1]) / REGION)
 
 
+def conformal_factor(found: Predictions, size_m: DoubleArray) -> Factor:
+    """Return the factor with which regions of all objects hold at least ``LEVEL``, and so do those of small ones.
+
+    It is that of all objects, and never less, because a table that exists may scatter more than a simulated one. Below
+    half of ``SMALL_M``, the power is the least with which regions hold that share.
+    """
+    scale = region_factor(found)
+    rows = size_m < 0.5 * SMALL_M
+    if not rows.any():
+        return Factor(scale, 0.0)
+    distances = np.maximum(np.sum(found.z()[rows] ** 2, axis=1), 1e-9)
+    powers = np.sort(np.log(np.sqrt(distances / REGION) / scale) / np.log(SMALL_M / size_m[rows]))
+    rank = min(len(powers), math.ceil((len(powers) + 1) * LEVEL))
+    return Factor(scale, max(float(powers[rank - 1]), 0.0))
+
+
 def evaluate_shapes(network: PushNetwork, split: ShapeSplit, seed: int) -> ShapeFigures:
     """Evaluate a network on held-out objects and on families never seen, with parts of their bodies known at random.
 
@@ -85,11 +114,17 @@ def evaluate_shapes(network: PushNetwork, split: ShapeSplit, seed: int) -> Shape
         batch = shape_batch(table, known)
         return batch, touching(predict_shapes(network, batch))
 
+    def sizes(batch: ShapeBatch, of: Predictions) -> DoubleArray:
+        """Return the sizes (n,) of the objects of predictions."""
+        return batch.contexts[-1][of.objects, 2].astype(np.float64)
+
     batch, seen = found(split.held_out)
-    factors = np.array([region_factor(seen.select(seen.objects % 2 != half)) for half in (0, 1)])
-    factor = region_factor(seen)
-    predictions, batches = {SEEN: seen.scaled(factors[seen.objects % 2])}, {SEEN: batch}
+    size_m, odd = sizes(batch, seen), seen.objects % 2 == 1
+    halves = [conformal_factor(seen.select(rows), size_m[rows]) for rows in (odd, ~odd)]  # the factor of the other half
+    each = np.where(odd, halves[1].of(size_m), halves[0].of(size_m))
+    factor = conformal_factor(seen, size_m)
+    predictions, batches = {SEEN: seen.scaled(each)}, {SEEN: batch}
     if split.unseen is not None:
         batches[UNSEEN], unseen = found(split.unseen)
-        predictions[UNSEEN] = unseen.scaled(factor)
+        predictions[UNSEEN] = unseen.scaled(factor.of(sizes(batches[UNSEEN], unseen)))
     return ShapeFigures(factor, predictions, batches)

@@ -22,6 +22,8 @@ LEAST_STD_RAD: Final = 1e-3
 # is deeper than the outline by sqrt(E max(0, n - u)^2), n normal and u the clearance. This is so within 5 % to u = 2.
 PLACE_STD_M: Final = 1e-3
 _TOUCHING, _FALL, _FALL_FASTER = 0.71, 0.85, 0.125
+# The network has no unit of length, and what is not known of a place is more of a small object than of a large one.
+SMALL_M: Final = 0.02
 PUSH_FEATURES: Final = ("length_m", "length_over_size", "start_over_size")
 OBJECT_FEATURES: Final = ("size_m", "friction", "pusher_radius_over_size", "centre_of_mass_over_size")
 AXES: Final = 128  # with 64, combs and springs were as familiar as held-out objects
@@ -85,16 +87,20 @@ def _symmetric(views: Tensor) -> Tensor:
 class ShapeNetwork(nn.Module):
     """Network of any shape with SI units in and out, as the ONNX interface of shape models has it.
 
-    Its deviations are the network's times ``scale``. With a ``domain`` it also gives the unfamiliarity of each push.
+    Its deviations are the network's times ``scale``, and of an object smaller than ``SMALL_M`` also times their ratio
+    to the power ``small``. With a ``domain`` it also gives the unfamiliarity of each push.
     """
 
-    def __init__(self, network: PushNetwork, domain: ShapeDomain | None = None, scale: float = 1.0) -> None:
+    def __init__(
+        self, network: PushNetwork, domain: ShapeDomain | None = None, scale: float = 1.0, small: float = 0.0
+    ) -> None:
         """Take a fitted network of residuals."""
         super().__init__()
         self.mechanics = PushMechanics()
         self.network = network
         self.domain = domain
         self.scale = scale
+        self.small = small
         self.least = nn.Buffer(torch.tensor([LEAST_STD_M, LEAST_STD_M, LEAST_STD_RAD]) ** 2, persistent=False)
 
     def forward(
@@ -117,7 +123,8 @@ class ShapeNetwork(nn.Module):
         rows = torch.index_select(body, 0, context_index)
         mean, log_std = self.network.gaussian(push_inputs(found, pusher, rows), conditioning)
         unit = residual_unit(found.left)
-        std = torch.exp(log_std) * unit * self.scale
+        wider = torch.pow(torch.clamp(SMALL_M / rows[:, 2:3], min=1.0), self.small)
+        std = torch.exp(log_std) * unit * (wider * self.scale)
         near_m = near_miss(clearance(pusher, torch.index_select(outline, 0, context_index), rows[:, 9:10]))
         gaussian = self._in_object_frame(found, found.motion + mean * unit, std, near_m, pusher, rows)
         if self.domain is None:

@@ -23,7 +23,7 @@ def render_shape_card(draft: Manifest, figures: ShapeFigures, parity: float, sco
     """Render the model card. ``scores`` is a text on other data, such as recorded pushes."""
     data, recipe, validity = draft.data, draft.recipe, draft.validity
     ranges = {} if validity is None else validity.ranges
-    scale = next(iter(draft.calibration.values())).scale
+    calibration = next(iter(draft.calibration.values()))
     return f"""# {draft.name}
 
 Predicts where an object of any outline ends up after a straight push of any length, as a Gaussian over its planar pose
@@ -69,7 +69,7 @@ The output `unfamiliarity` of its graph has the distance of each push, and of it
 
 ## Limits
 
-- Every std is the network's own times {scale:.3f}, a conformal factor from held-out objects.
+- Every std is the network's own times {calibration.scale:.3f}. Method: {calibration.method}.
 - The spread of pressure under an object is not known. If it is far from even, the object turns otherwise.
 - Torch and onnxruntime agree within {parity:.1e} (SI units, 98 % of random pushes).
 """

@@ -25,10 +25,10 @@ from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_
 from service.registry.registry import Registry
 from training.fitting.evaluation import COVERAGE_LEVELS, Predictions
 from training.fitting.recipe import DIFFERENT_FAMILIES, Recipe
-from training.fitting.shape_evaluation import LEVEL, ShapeFigures, evaluate_shapes
+from training.fitting.shape_evaluation import LEVEL, Factor, ShapeFigures, evaluate_shapes
 from training.fitting.shape_samples import ShapeSplit, draw_known, shape_batch, split_shapes
 from training.networks.push_network import PushNetwork
-from training.networks.shape_network import ShapeDomain, ShapeNetwork
+from training.networks.shape_network import SMALL_M, ShapeDomain, ShapeNetwork
 from training.omnipush.published import published_normalisation
 from training.publishing.onnx_export import export_module
 from training.publishing.parity import check_shape_parity
@@ -81,7 +81,7 @@ def publish_shapes(
     if not all(math.isfinite(each.nll) for each in metrics.values()):
         raise PublishError("the network's held-out figures are not finite; no version was published")
     domain = shape_domain(split.train, recipe.seed)
-    served = ShapeNetwork(network, domain, factor).eval()
+    served = ShapeNetwork(network, domain, factor.scale, factor.small).eval()
     model = export_module(served, _KIND, OUTPUTS_WITH_UNFAMILIARITY)
     parity = check_shape_parity(served, model)
     draft = Manifest(
@@ -136,12 +136,15 @@ def _metrics(found: Predictions) -> Metrics:
     return Metrics(figures.rmse, figures.std, figures.distance_mm, figures.nll)
 
 
-def _calibration(found: Predictions, factor: float) -> Calibration:
+def _calibration(found: Predictions, factor: Factor) -> Calibration:
     figures = found.measures()
     coverage_50, coverage_90, coverage_95 = (figures.coverage[level] for level in COVERAGE_LEVELS)
-    method = f"conformal factor of the joint region of {LEVEL:.0%}, of held-out objects"
+    method = (
+        f"conformal factor of the joint region of {LEVEL:.0%}, of held-out objects; of objects smaller than "
+        f"{SMALL_M:g} m it grows with their ratio to the power {factor.small:.3f}"
+    )
     sharpness = list(figures.sharpness)
-    return Calibration(method, coverage_50, coverage_90, coverage_95, sharpness, factor, *found.regions())
+    return Calibration(method, coverage_50, coverage_90, coverage_95, sharpness, factor.scale, *found.regions())
 
 
 def _self_check(model: bytes) -> SelfCheck:

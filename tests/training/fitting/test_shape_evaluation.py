@@ -1,5 +1,6 @@
 """Evaluation of shapes: in SI units as served, calibrated on objects that a network was not trained on."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from training.fitting.shape_evaluation import (
     REGION,
     SEEN,
     UNSEEN,
+    conformal_factor,
     evaluate_shapes,
     normalised,
     predict_shapes,
@@ -75,6 +77,18 @@ def test_the_factor_of_few_outcomes_is_that_of_the_largest() -> None:
     assert found.scaled(region_factor(found) * 1.0001).regions()[1] == 1.0
 
 
+def test_the_factor_grows_for_small_objects_that_scatter_more() -> None:
+    """Regions hold their share of small objects too, and large ones keep the factor of all."""
+    found, size_m = gaussians(30_000, 1.0), np.where(np.arange(30_000) % 3 == 0, 0.005, 0.05)
+    wider = replace(found, outcome=found.outcome * np.where(size_m < 0.01, 2.0, 1.0)[:, None].astype(np.float32))
+    factor = conformal_factor(wider, size_m)
+    held = np.sum(wider.scaled(factor.of(size_m)).z() ** 2, axis=1) <= REGION
+    assert held[size_m < 0.01].mean() == pytest.approx(LEVEL, abs=1e-3)
+    assert factor.of(np.array([0.05, 0.02])).tolist() == [factor.scale, factor.scale]
+    assert conformal_factor(found, size_m).small == pytest.approx(0.0, abs=0.02)
+    assert conformal_factor(found, np.full(30_000, 0.05)).small == 0.0
+
+
 def test_outcomes_are_compared_across_the_cut_of_angles(shapes_folder: Path) -> None:
     """An outcome just below pi is near a mean just above -pi."""
     table, _ = read_shapes(shapes_folder, ALL_FAMILIES)
@@ -103,7 +117,8 @@ def test_figures_are_of_held_out_objects_and_families(network: PushNetwork, shap
     _, split = read_shapes(shapes_folder, DIFFERENT_FAMILIES)
     found = evaluate_shapes(network, split, 0)
     assert list(found.predictions) == [SEEN, UNSEEN]
-    assert found.factor > 0.0
+    assert found.factor.scale > 0.0
+    assert found.factor.small >= 0.0
     assert all(np.isfinite(part.measures().nll) for part in found.predictions.values())
     again = evaluate_shapes(network, split, 0)
     assert again.factor == found.factor

@@ -17,6 +17,7 @@ from training.networks.shape_network import (
     LEAST_STD_M,
     LEAST_STD_RAD,
     PLACE_STD_M,
+    SMALL_M,
     ShapeDomain,
     ShapeNetwork,
     near_miss,
@@ -102,6 +103,18 @@ def test_the_scale_is_on_deviations_alone(network: PushNetwork) -> None:
     same, twice = answer(ShapeNetwork(network, scale=2.0), ShapeContext(BOX), PUSHES)
     assert same == pytest.approx(mean)
     assert twice[:-1] == pytest.approx(2.0 * std[:-1], rel=1e-3)
+
+
+def test_small_objects_have_wider_deviations_by_a_power(network: PushNetwork) -> None:
+    """A box of a quarter of the size has the std in sizes times a power of how much smaller than the limit it is."""
+    tiny = Outline.of(0.25 * BOX.corners)
+    pushes = PUSHES[:3] * np.array([0.25, 0.25, 1.0, 0.25])
+    context = ShapeContext(tiny, pusher_radius_m=0.001)
+    mean, std = answer(ShapeNetwork(network), context, pushes)
+    same, wider = answer(ShapeNetwork(network, small=0.5), context, pushes)
+    assert same == pytest.approx(mean)
+    assert wider == pytest.approx(std * (SMALL_M / tiny.size_m) ** 0.5, rel=0.02)
+    assert tiny.size_m < SMALL_M
 
 
 def test_the_answer_at_an_angle_of_pi_is_that_at_minus_pi(network: PushNetwork) -> None:

@@ -63,7 +63,7 @@ def test_a_published_version_is_served_as_torch_predicts(store: Registry, networ
     mean, std, unfamiliarity = model.predictor.predict(pusher, contexts, index)
     scale = model.manifest.calibration[SEEN].scale
     assert scale is not None
-    served = ShapeNetwork(network, scale=scale).eval()
+    served = ShapeNetwork(network, scale=scale).eval()  # both objects are too large for a wider one
     with torch.inference_mode():
         expected = served(*(torch.from_numpy(part) for part in (pusher, *contexts, index)))
     assert loaded.snapshot.problems == ()
