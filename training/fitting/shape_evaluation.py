@@ -116,7 +116,8 @@ def evaluate_shapes(network: PushNetwork, split: ShapeSplit, seed: int) -> Shape
 
     def sizes(batch: ShapeBatch, of: Predictions) -> DoubleArray:
         """Return the sizes (n,) of the objects of predictions."""
-        return batch.contexts[-1][of.objects, 2].astype(np.float64)
+        size_m: DoubleArray = batch.contexts[-1][of.objects, 2].astype(np.float64)
+        return size_m
 
     batch, seen = found(split.held_out)
     size_m, odd = sizes(batch, seen), seen.objects % 2 == 1
