@@ -5,6 +5,7 @@ must agree with torch on plausible and on extreme inputs.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from typing import Final
@@ -14,19 +15,24 @@ import torch
 import service
 from service.errors import DataError, PublishError
 from service.model.manifest import (
+    Calibration,
     DataRecord,
     Manifest,
+    Metrics,
     NormalisationRecord,
+    Rival,
     SelfCheck,
     Validity,
 )
 from service.model.predictor import OnnxPredictor
 from service.model.self_check import flattened
 from service.model.tensors import ContextKind
+from service.model.tensors import Tensor as TensorRecord
 from service.pushing.onnx_interface import expected_inputs
 from service.pushing.poses import PUSH_LENGTH_M
 from service.registry.registry import Registry
 from training.fitting.bands import calibrated
+from training.fitting.evaluation import Predictions
 from training.fitting.recipe import Recipe
 from training.fitting.samples import Samples
 from training.networks.neural_process import NeuralProcess
@@ -37,7 +43,7 @@ from training.omnipush.pushes import Pushes
 from training.publishing.card import render_card
 from training.publishing.onnx_export import export_onnx, graph_outputs
 from training.publishing.parity import check_parity
-from training.publishing.parity_inputs import plausible_batch
+from training.publishing.parity_inputs import Batch, plausible_batch
 from training.publishing.rivals import calibration_of, measured_name, metrics_of, rivals_of
 
 SELF_CHECK_TOLERANCE: Final = 1e-4  # a tenth of a millimetre, across processors and versions of the runtime
@@ -82,35 +88,87 @@ def publish(
     samples = Samples.of(held_out, kind)
     found = calibrated(measured_network, samples)
     figures = {measured_name(set_up, views): each for views, each in found.predictions.items()}
-    metrics = {name: metrics_of(each) for name, each in figures.items()}
-    if not all(math.isfinite(each.nll) for each in metrics.values()):
-        raise PublishError("the network's held-out figures are not finite; no version was published")
+    metrics = finite_metrics(figures)
     domain = domain_of(train, kind)
     model = export_onnx(network, kind, domain, found.factor)
     parity = check_parity(network, model, kind, domain, found.factor)
-    draft = Manifest(
+    batch = plausible_batch(kind, pushes=4, objects=2, seed=4)
+    if kind is ContextKind.VISUAL:  # of real objects: a network learns the symmetry of those, and gates turn its views
+        batch = replace(batch, contexts=(samples.context[:2].numpy(),))
+    draft = draft_of(
+        recipe,
+        graph_outputs(domain),
+        data=_data_record(pushes, split, train, held_out),
+        metrics=metrics,
+        calibration={name: calibration_of(each, found.factor) for name, each in figures.items()},
+        self_check=self_check_of(model, kind, graph_outputs(domain), batch),
+        validity=_validity(domain),
+        image_convention=image_convention,
+        rivals=rivals_of(registry, recipe.name, set_up, samples),
+    )
+    return registry.publish(draft, model, render_card(draft, figures, parity))
+
+
+def finite_metrics(figures: Mapping[str, Predictions]) -> dict[str, Metrics]:
+    """Return error and likelihood of held-out predictions by name.
+
+    Raises:
+        PublishError: a likelihood is not finite, as that of a network that diverged.
+    """
+    metrics = {name: metrics_of(each) for name, each in figures.items()}
+    if not all(math.isfinite(each.nll) for each in metrics.values()):
+        raise PublishError("the network's held-out figures are not finite; no version was published")
+    return metrics
+
+
+def draft_of(
+    recipe: Recipe,
+    outputs: tuple[TensorRecord, ...],
+    *,
+    data: DataRecord,
+    metrics: dict[str, Metrics],
+    calibration: dict[str, Calibration],
+    self_check: SelfCheck,
+    validity: Validity,
+    image_convention: str | None = None,
+    rivals: dict[str, Rival] | None = None,
+) -> Manifest:
+    """Return the manifest of a recipe's next version, without its number and the digests of its files."""
+    known = vars(published_normalisation())
+    return Manifest(
         name=recipe.name,
         version=1,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         method=recipe.method,
-        context_kind=kind,
-        inputs=expected_inputs(kind),
-        outputs=graph_outputs(domain),
-        normalisation=NormalisationRecord(
-            **{name: list(value) for name, value in vars(published_normalisation()).items()}
-        ),
+        context_kind=recipe.context_kind,
+        inputs=expected_inputs(recipe.context_kind),
+        outputs=outputs,
+        normalisation=NormalisationRecord(**{name: list(value) for name, value in known.items()}),
         image_convention=image_convention,
         recipe=recipe.record(),
-        data=_data_record(pushes, split, train, held_out),
+        data=data,
         code_version=service.__version__,
         metrics=metrics,
-        calibration={name: calibration_of(each, found.factor) for name, each in figures.items()},
-        self_check=_self_check(model, domain, samples),
+        calibration=calibration,
+        self_check=self_check,
         files={},
-        validity=_validity(domain),
-        rivals=rivals_of(registry, recipe.name, set_up, samples),
+        validity=validity,
+        rivals=rivals,
     )
-    return registry.publish(draft, model, render_card(draft, figures, parity))
+
+
+def self_check_of(model: bytes, kind: ContextKind, outputs: tuple[TensorRecord, ...], batch: Batch) -> SelfCheck:
+    """Return a small batch with the graph's own outputs, which every load compares with."""
+    predictor = OnnxPredictor(model, expected_inputs(kind), outputs)
+    mean, std, _ = predictor.predict(batch.pusher, batch.contexts, batch.context_index)
+    return SelfCheck(
+        pusher=batch.pusher.tolist(),
+        context=flattened(batch.contexts),
+        context_index=batch.context_index.tolist(),
+        mean=mean.tolist(),
+        std=std.tolist(),
+        tolerance=SELF_CHECK_TOLERANCE,
+    )
 
 
 def domain_of(train: Pushes, kind: ContextKind) -> OmnipushDomain:
@@ -160,22 +218,3 @@ def _measured_split(recipe: Recipe, measured: Recipe) -> Split:
             "recipe with --set-up different-objects, and publish with --measured and the folder of that run"
         )
     return set_up
-
-
-def _self_check(model: bytes, domain: OmnipushDomain, samples: Samples) -> SelfCheck:
-    """Return a small batch with the graph's own outputs, which every load compares with. Gates turn its views."""
-    kind = domain.kind
-    batch = plausible_batch(kind, pushes=4, objects=2, seed=4)
-    if kind is ContextKind.VISUAL:  # of real objects: a network learns the symmetry of those
-        batch = replace(batch, contexts=(samples.context[:2].numpy(),))
-    mean, std, _ = OnnxPredictor(model, expected_inputs(kind), graph_outputs(domain)).predict(
-        batch.pusher, batch.contexts, batch.context_index
-    )
-    return SelfCheck(
-        pusher=batch.pusher.tolist(),
-        context=flattened(batch.contexts),
-        context_index=batch.context_index.tolist(),
-        mean=mean.tolist(),
-        std=std.tolist(),
-        tolerance=SELF_CHECK_TOLERANCE,
-    )

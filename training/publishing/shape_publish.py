@@ -1,39 +1,27 @@
 """Publication of a fitted network of shapes: measure, export, check parity, and publish a version."""
 
-import math
-from datetime import UTC, datetime
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 import torch
 
-import service
-from service.errors import DataError, PublishError
-from service.model.manifest import (
-    Calibration,
-    DataRecord,
-    Manifest,
-    Metrics,
-    NormalisationRecord,
-    SelfCheck,
-    Validity,
-)
-from service.model.predictor import OnnxPredictor
-from service.model.self_check import flattened
+from service.errors import DataError
+from service.model.manifest import Calibration, DataRecord, Manifest, Validity
 from service.model.tensors import ContextKind
-from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
+from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY
 from service.registry.registry import Registry
-from training.fitting.evaluation import COVERAGE_LEVELS, Predictions
+from training.fitting.evaluation import Predictions
 from training.fitting.recipe import DIFFERENT_FAMILIES, Recipe
 from training.fitting.shape_evaluation import LEVEL, Factor, ShapeFigures, evaluate_shapes
 from training.fitting.shape_samples import ShapeSplit, draw_known, shape_batch, split_shapes
 from training.networks.push_network import PushNetwork
 from training.networks.shape_network import SMALL_M, ShapeDomain, ShapeNetwork
-from training.omnipush.published import published_normalisation
 from training.publishing.onnx_export import export_module
 from training.publishing.parity import check_shape_parity
 from training.publishing.parity_inputs import plausible_batch
-from training.publishing.publish import SELF_CHECK_TOLERANCE
+from training.publishing.publish import draft_of, finite_metrics, self_check_of
+from training.publishing.rivals import calibration_of
 from training.publishing.shape_card import render_shape_card
 from training.tables.push_table import PushTable
 
@@ -77,32 +65,19 @@ def publish_shapes(
     judged_split = split_shapes(table, judged.set_up)
     figures = evaluate_shapes(judged_network, judged_split, judged.seed)
     factor = figures.factor if measured is None else evaluate_shapes(network, split, recipe.seed).factor
-    metrics = {name: _metrics(found) for name, found in figures.predictions.items()}
-    if not all(math.isfinite(each.nll) for each in metrics.values()):
-        raise PublishError("the network's held-out figures are not finite; no version was published")
+    metrics = finite_metrics(figures.predictions)
     domain = shape_domain(split.train, recipe.seed)
     served = ShapeNetwork(network, domain, factor.scale, factor.small).eval()
     model = export_module(served, _KIND, OUTPUTS_WITH_UNFAMILIARITY)
     parity = check_shape_parity(served, model)
-    draft = Manifest(
-        name=recipe.name,
-        version=1,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        method=recipe.method,
-        context_kind=_KIND,
-        inputs=expected_inputs(_KIND),
-        outputs=OUTPUTS_WITH_UNFAMILIARITY,
-        normalisation=NormalisationRecord(
-            **{name: list(value) for name, value in vars(published_normalisation()).items()}
-        ),
-        image_convention=None,
-        recipe=recipe.record(),
+    batch = plausible_batch(_KIND, pushes=4, objects=2, seed=4)
+    draft = draft_of(
+        recipe,
+        OUTPUTS_WITH_UNFAMILIARITY,
         data=_data_record(table, recipe, split, judged_split, figures),
-        code_version=service.__version__,
         metrics=metrics,
         calibration={name: _calibration(found, factor) for name, found in figures.predictions.items()},
-        self_check=_self_check(model),
-        files={},
+        self_check=self_check_of(model, _KIND, OUTPUTS_WITH_UNFAMILIARITY, batch),
         validity=Validity({name: (low, high) for name, (low, high) in domain.ranges().items()}, _NOTE),
     )
     return registry.publish(draft, model, render_shape_card(draft, figures, parity, scores))
@@ -131,32 +106,9 @@ def _data_record(
     )
 
 
-def _metrics(found: Predictions) -> Metrics:
-    figures = found.measures()
-    return Metrics(figures.rmse, figures.std, figures.distance_mm, figures.nll)
-
-
 def _calibration(found: Predictions, factor: Factor) -> Calibration:
-    figures = found.measures()
-    coverage_50, coverage_90, coverage_95 = (figures.coverage[level] for level in COVERAGE_LEVELS)
     method = (
         f"conformal factor of the joint region of {LEVEL:.0%}, of held-out objects; of objects smaller than "
         f"{SMALL_M:g} m it grows with their ratio to the power {factor.small:.3f}"
     )
-    sharpness = list(figures.sharpness)
-    return Calibration(method, coverage_50, coverage_90, coverage_95, sharpness, factor.scale, *found.regions())
-
-
-def _self_check(model: bytes) -> SelfCheck:
-    """Return a small batch with the graph's own outputs, which every load compares with."""
-    batch = plausible_batch(_KIND, pushes=4, objects=2, seed=4)
-    predictor = OnnxPredictor(model, expected_inputs(_KIND), OUTPUTS_WITH_UNFAMILIARITY)
-    mean, std, _ = predictor.predict(batch.pusher, batch.contexts, batch.context_index)
-    return SelfCheck(
-        pusher=batch.pusher.tolist(),
-        context=flattened(batch.contexts),
-        context_index=batch.context_index.tolist(),
-        mean=mean.tolist(),
-        std=std.tolist(),
-        tolerance=SELF_CHECK_TOLERANCE,
-    )
+    return replace(calibration_of(found, factor.scale), method=method)
