@@ -23,10 +23,12 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.pushing": "service.errors service.turns service.model",
         "service.silhouettes": "service.errors service.turns service.pushing",
         "service.validity": "service.turns service.model service.pushing",
+        "service.planning": "service.errors service.turns service.model service.pushing",
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.files service.model service.pushing service.storage",
         "service.schemas": "service.errors service.model service.pushing service.silhouettes service.validity",
         "service.inference": "service.errors service.turns service.model service.pushing service.validity "
+        "service.planning "
         "service.storage service.registry service.background service.observability",
         "service.transport": "service.errors service.files service.turns service.processors service.inference "
         "service.schemas service.background service.observability",
@@ -91,6 +93,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.pushing": "numpy",
         "service.silhouettes": "numpy",
         "service.validity": "numpy",
+        "service.planning": "numpy",
         "service.schemas": "numpy orjson pydantic pydantic_core",
         "service.inference": "numpy",
         "service.transport": "orjson starlette",

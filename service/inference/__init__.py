@@ -4,6 +4,7 @@
 uses, ``probing`` runs the self-check of each version, and ``readiness`` judges by the results. ``pushes`` makes rows of
 pushes that a model can answer. ``query`` predicts those of a request and encodes the answer. ``pieces`` cuts many
 pushes into bounded calls of the runtime, and ``micro_batching`` runs the single pushes of one event loop iteration in
-one call. Calls point downward: this package imports ``service.registry``, ``service.storage``, ``service.pushing``,
+one call. ``object_model`` makes a served model the model of one object that planning asks. Calls point downward: this
+package imports ``service.registry``, ``service.storage``, ``service.planning``, ``service.pushing``,
 ``service.model``, ``service.observability``, ``service.background``, ``service.turns`` and ``service.errors``.
 """

@@ -160,16 +160,23 @@ def _judgements(
     yield _degrees(len(rows), angles)
 
 
+def unlike_known_pushes(
+    manifest: Manifest, rows: DoubleArray, contexts: Contexts, found: Gaussians
+) -> npt.NDArray[np.bool_]:
+    """Return (n,) true for the pushes (n, 4), x_m, y_m, angle_rad, length_m, that a version does not vouch for."""
+    if found.unfamiliarity is not None:
+        return found.unfamiliarity[:, 0] > 1.0
+    validity = validity_of(manifest)
+    if validity is not None and is_published_without(manifest):
+        return outside(validity, push_features(rows, *_places(contexts)))
+    return np.zeros(len(rows), dtype=np.bool_)
+
+
 def _push(manifest: Manifest, rows: DoubleArray, contexts: Contexts, found: Gaussians) -> _Judgement:
     """Judge which pushes are outside of the domain."""
     validity = validity_of(manifest)
     features = push_features(rows, *_places(contexts))
-    if found.unfamiliarity is not None:
-        strange = found.unfamiliarity[:, 0] > 1.0
-    elif validity is not None and is_published_without(manifest):
-        strange = outside(validity, features)
-    else:
-        strange = np.zeros(len(rows), dtype=np.bool_)
+    strange = unlike_known_pushes(manifest, rows, contexts, found)
 
     def describe(row: int) -> str:
         """Name the features out of range, or the distance from the pushes that are known."""
