@@ -21,6 +21,8 @@ from service.api.open_inference.bodies import ErrorBody
 from service.api.open_inference.endpoints import inference_endpoints
 from service.api.openapi import give_examples, problems, protocol_errors, state_media_type
 from service.api.path_prefix import PathPrefix, servers
+from service.api.planning.endpoints import PLANNING_ENDPOINTS
+from service.api.planning.routes import planning
 from service.api.scrapes import Scrapes
 from service.api.v1 import routes as v1
 from service.api.v1.endpoints import ENDPOINTS, SINGLE
@@ -130,7 +132,9 @@ def create_app(
     keys = Keys(settings.keys)
     readiness = Readiness(models, settings.poll_interval_s, settings.deadline_s)
     supervisor = _supervisor(settings, models, readiness, keys, log)
-    endpoints = Endpoints((*ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads)
+    endpoints = Endpoints(
+        (*ENDPOINTS, *PLANNING_ENDPOINTS, *inference_endpoints(settings.max_body_bytes)), models, threads
+    )
     app = Service(
         title="CAZSL",
         version=service.__version__,
@@ -205,7 +209,7 @@ def _include_routes(app: FastAPI, guarded: bool, metrics: bool) -> None:
     refusals = (MissingKeyError, ForbiddenError) if guarded else ()
     app.include_router(docs_router(app.title))
     app.include_router(health.router)
-    for router in (v1.predictions, v1.models):
+    for router in (v1.predictions, planning, v1.models):
         app.include_router(router, dependencies=guard, responses=problems(ProblemBody, *refusals))
     app.include_router(open_inference.health)
     if metrics:

@@ -27,6 +27,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.storage": "service.errors service.model",
         "service.registry": "service.errors service.files service.model service.pushing service.storage",
         "service.schemas": "service.errors service.model service.pushing service.silhouettes service.validity",
+        "service.schemas.planning": "service.errors service.pushing service.validity service.planning service.schemas",
         "service.inference": "service.errors service.turns service.model service.pushing service.validity "
         "service.planning "
         "service.storage service.registry service.background service.observability",
@@ -40,12 +41,14 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.api.v1": "service.errors service.turns service.model service.pushing service.silhouettes "
         "service.validity "
         "service.inference service.schemas service.observability service.transport service.api",
+        "service.api.planning": "service.errors service.turns service.pushing service.validity service.planning "
+        "service.inference service.schemas service.schemas.planning service.transport service.api service.api.v1",
         "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
         "service.transport service.api",
         "service.app": "service.errors service.settings service.inference service.schemas service.background "
         "service.observability service.transport service.connections service.api service.api.v1 "
-        "service.api.open_inference",
-        "service.client": "service.errors service.model service.schemas",
+        "service.api.open_inference service.api.planning",
+        "service.client": "service.errors service.model service.schemas service.schemas.planning",
         "service.cli": "service.errors service.settings service.files service.processors service.background "
         "service.observability service.model service.storage service.registry service.validity service.schemas "
         "service.inference "
@@ -74,7 +77,14 @@ PACKAGES: Mapping[str, frozenset[str]] = {
 # Modules that import more than their package may: the transport of ``Client.local``, which answers in this process.
 EXCEPTIONS: Mapping[str, frozenset[str]] = {
     "service.client.local": frozenset(
-        ("service.inference", "service.registry", "service.transport", "service.api.v1", *PACKAGES["service.client"])
+        (
+            "service.inference",
+            "service.registry",
+            "service.transport",
+            "service.api.v1",
+            "service.api.planning",
+            *PACKAGES["service.client"],
+        )
     )
 }
 # Of the lower packages the trainer takes these modules only.
@@ -95,6 +105,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.validity": "numpy",
         "service.planning": "numpy",
         "service.schemas": "numpy orjson pydantic pydantic_core",
+        "service.schemas.planning": "numpy pydantic",
         "service.inference": "numpy",
         "service.transport": "orjson starlette",
         "service.connections": "httptools starlette uvicorn",
@@ -102,6 +113,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "service.api": "fastapi prometheus_client starlette",
         "service.api.v1": "numpy orjson pydantic_core starlette",
         "service.api.open_inference": "numpy orjson pydantic",
+        "service.api.planning": "numpy orjson",
         "service.app": "fastapi starlette",
         "service.client": "httpx2 numpy orjson pydantic",
         "service.cli": "click pydantic pydantic_settings",
@@ -137,6 +149,7 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.api.v1.routes": "fastapi",
         "service.api.v1.uploads": "python_multipart",
         "service.api.open_inference.routes": "fastapi",
+        "service.api.planning.routes": "fastapi",
         "service.cli.serve": "starlette uvicorn",
         "training.publishing.onnx_export": "onnx",
         "training.simulation.camera": "PIL",

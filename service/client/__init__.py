@@ -7,8 +7,10 @@
 
 The distribution is called ``cazsl``. torch is never loaded, and onnxruntime only by ``Client.local``.
 
-``blocking`` and ``asynchronous`` are the two clients, and ``base`` is their common part. ``connections`` finds the way
-to the service, ``calls`` builds requests of ``arguments`` and parses answers, ``deadline`` bounds each call in time,
+``blocking`` and ``asynchronous`` are the two clients, and ``base`` is their common part. ``blocking_planning`` has the
+methods about several pushes. ``connections`` finds the way
+to the service, ``calls`` builds requests of ``arguments`` and parses answers, ``planning_calls`` those about several
+pushes, ``deadline`` bounds each call in time,
 ``retries`` decides on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this process and is
 imported only by ``Client.local``. Calls point downward: the package imports ``service.schemas``, ``service.model`` and
 ``service.errors``, and ``local`` also imports the packages that answer a request.
@@ -25,6 +27,7 @@ from service.client.errors import (
     UnreachableError,
     UnreadableAnswerError,
 )
+from service.client.planning_calls import Region, Rollout, Steps
 from service.client.retries import Retries
 from service.schemas.contexts import ContextBody
 
@@ -36,7 +39,10 @@ __all__ = [
     "ContextBody",
     "Predictions",
     "ProblemError",
+    "Region",
     "Retries",
+    "Rollout",
+    "Steps",
     "TimedOutError",
     "UnreachableError",
     "UnreadableAnswerError",

@@ -10,12 +10,13 @@ from typing import Self, TypeVar, Unpack
 import httpx2
 import numpy.typing as npt
 
-from service.client import calls
+from service.client import calls, planning_calls
 from service.client.arguments import Context, Details, Image, ScaledDetails
 from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
 from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
+from service.client.planning_calls import Region, Rollout
 from service.client.retries import Retries, retry_after_s
 from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
@@ -108,6 +109,39 @@ class AsyncClient(ClientBase):
     async def find_outline(self, image: Image, **details: Unpack[ScaledDetails]) -> OutlineContextBody:
         """See ``Client.find_outline``."""
         return await self._send(calls.find_outline(image, details))
+
+    async def rollout(
+        self,
+        pushes: npt.ArrayLike,
+        context: Context | None = None,
+        *,
+        object_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
+        region: Region | None = None,
+        particles: int | None = None,
+        seed: int = 0,
+        model: str | None = None,
+        return_particles: bool = False,
+    ) -> Rollout:
+        """See ``Client.rollout``."""
+        return await self._send(
+            planning_calls.rollout(pushes, context, object_pose, region, particles, seed, model, return_particles)
+        )
+
+    async def rollouts(
+        self,
+        sequences: Sequence[npt.ArrayLike],
+        context: Context | None = None,
+        *,
+        object_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
+        region: Region | None = None,
+        particles: int | None = None,
+        seed: int = 0,
+        model: str | None = None,
+    ) -> tuple[Rollout, ...]:
+        """See ``Client.rollouts``."""
+        return await self._send(
+            planning_calls.rollouts(sequences, context, object_pose, region, particles, seed, model)
+        )
 
     async def list_models(self) -> ModelsBody:
         """See ``Client.list_models``."""

@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from service.client import calls
 from service.client.arguments import Context, Details, Image, ScaledDetails
-from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
+from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, add_part
+from service.client.blocking_planning import BlockingPlanning
 from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
@@ -24,7 +25,7 @@ from service.schemas.predictions import PredictResponse
 T = TypeVar("T")
 
 
-class Client(ClientBase):
+class Client(BlockingPlanning):
     """A blocking client. Threads may share it, and a forked process. Connections stay open until it is closed.
 
     Args:

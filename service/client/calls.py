@@ -118,7 +118,7 @@ def predict(
         document["context"] = context_document(context)
     if object_pose is not None:
         document["object_pose"] = pose_document(object_pose, "object_pose")
-    return _post("/v1/predict", document, _reader(PredictResponse))
+    return post("/v1/predict", document, _reader(PredictResponse))
 
 
 def predict_batch(
@@ -139,7 +139,8 @@ def predict_batch(
         document["context_index"] = index_array(context_index)
     if object_poses is not None:
         document["object_poses"] = pose_rows(object_poses, "object_poses")
-    return _post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)), len(rows))
+    max_answer_bytes = MAX_ANSWER_BYTES + len(rows) * _ROW_BYTES
+    return post("/v1/predict/batch", document, lambda content: _predictions(content, len(rows)), max_answer_bytes)
 
 
 def predict_image(
@@ -191,9 +192,11 @@ def show_version(name: str, version: int) -> Call[ModelVersionDetailBody]:
     return Call("GET", path, _reader(ModelVersionDetailBody), {}, MAX_CATALOGUE_BYTES)
 
 
-def _post(path: str, document: dict[str, Any], parse: Callable[[bytes], T], rows: int = 0) -> Call[T]:
-    body = {"content": _dump(document), "headers": _JSON}
-    return Call("POST", path, parse, body, MAX_ANSWER_BYTES + rows * _ROW_BYTES)
+def post(
+    path: str, document: dict[str, Any], parse: Callable[[bytes], T], max_answer_bytes: int = MAX_ANSWER_BYTES
+) -> Call[T]:
+    """Build a request with a document in JSON."""
+    return Call("POST", path, parse, {"content": _dump(document), "headers": _JSON}, max_answer_bytes)
 
 
 def _dump(document: object) -> bytes:
@@ -243,14 +246,19 @@ def _predictions(content: bytes, count: int) -> Predictions:
     return Predictions(
         body.model,
         body.frame,
-        _array(body.mean, (count, POSE_PARTS), kind),
-        _array(body.std, (count, POSE_PARTS), kind),
-        None if body.covariance is None else _array(body.covariance, (count, POSE_PARTS, POSE_PARTS), kind),
-        _checked(body.warnings, count),
+        answer_array(body.mean, (count, POSE_PARTS), kind),
+        answer_array(body.std, (count, POSE_PARTS), kind),
+        None if body.covariance is None else answer_array(body.covariance, (count, POSE_PARTS, POSE_PARTS), kind),
+        check_warnings(body.warnings, count),
     )
 
 
-def _checked(warnings: Sequence[BatchWarningBody], count: int) -> tuple[BatchWarningBody, ...]:
+def check_warnings(warnings: Sequence[BatchWarningBody], count: int) -> tuple[BatchWarningBody, ...]:
+    """Return the warnings of an answer with this many rows.
+
+    Raises:
+        UnreadableAnswerError: a warning is about a row that is none of them.
+    """
     for warning in warnings:
         rows = warning.rows
         if len(rows) > count or not all(0 <= row < count for row in rows):
@@ -258,7 +266,12 @@ def _checked(warnings: Sequence[BatchWarningBody], count: int) -> tuple[BatchWar
     return tuple(warnings)
 
 
-def _array(rows: Sequence[Any], shape: tuple[int, ...], kind: type[np.floating[Any]]) -> Numbers:
+def answer_array(rows: Sequence[Any], shape: tuple[int, ...], kind: type[np.floating[Any]]) -> Numbers:
+    """Return rows of an answer as an array of this shape.
+
+    Raises:
+        UnreadableAnswerError: they have another shape.
+    """
     try:
         found = np.array(rows, dtype=kind)
     except ValueError as error:

@@ -11,6 +11,7 @@ from typing import Any, Final, Self
 
 import httpx2
 
+from service.api.planning.endpoints import PLANNING_ENDPOINTS
 from service.api.v1.catalogue import model_body, models_body, version_body
 from service.api.v1.endpoints import ENDPOINTS
 from service.errors import CazslError, InvalidRequestError, ModelNotReadyError
@@ -24,7 +25,9 @@ from service.transport.endpoints import NO_PARAMETERS, Endpoint, HttpRequest
 from service.transport.problems import problem_body
 
 _MODEL: Final = re.compile(rf"/v1/models/(?P<name>{NAME_PATTERN})(?:/versions/(?P<version>{VERSION_PATTERN}))?")
-_ENDPOINTS: Final[dict[str, Endpoint[Any]]] = {endpoint.path: endpoint for endpoint in ENDPOINTS}
+_ENDPOINTS: Final[dict[str, Endpoint[Any]]] = {
+    endpoint.path: endpoint for endpoint in (*ENDPOINTS, *PLANNING_ENDPOINTS)
+}
 
 
 class InProcess(httpx2.BaseTransport, httpx2.AsyncBaseTransport):

@@ -1,16 +1,23 @@
 """A served model as the model of one object's pushes, which planning asks."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from service.inference.query import ContextBatch, predict
+from service.inference.pushes import starts_inside
+from service.inference.query import ContextBatch, Warnings, predict
 from service.model.loaded_model import LoadedModel
 from service.model.tensors import ContextKind
 from service.planning.push_model import PushOutcomes
-from service.pushing.poses import DoubleArray
+from service.pushing.poses import PUSH_LENGTH_M, DoubleArray
+from service.pushing.shape_context import ShapeTensors
+from service.validity.codes import Angles, WarningCode
 from service.validity.contact import contacts
-from service.validity.judging import unlike_known_pushes
+from service.validity.judging import find_warnings, unlike_known_pushes
+
+_OF_PUSHES: Final = frozenset((WarningCode.NO_CONTACT, WarningCode.STARTS_INSIDE, WarningCode.UNFAMILIAR_PUSH))
+_ANY_PUSH: Final = np.array([[-0.1, 0.0, 0.0, PUSH_LENGTH_M]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,19 +32,42 @@ class ObjectModel:
     model: LoadedModel
     contexts: ContextBatch
 
+    @property
+    def knows_lengths(self) -> bool:
+        """Return whether the model knows other lengths of pushes than ``PUSH_LENGTH_M``."""
+        return self.contexts.kind is ContextKind.SHAPE
+
     def __call__(self, pushes: DoubleArray) -> PushOutcomes:
         """See ``PushModel``. A model of one length gets the poses alone, whatever length a push has.
 
         Raises:
             ContextKindError, PredictionError, DeadlineError: see ``query.predict``.
         """
-        rows = pushes[:, : 4 if self.contexts.kind is ContextKind.SHAPE else 3].astype(np.float32)
-        index = None if self.contexts.index is None else np.zeros(len(rows), dtype=np.int64)
-        contexts = replace(self.contexts, index=index)
+        contexts = self._contexts_of(len(pushes))
+        found = predict(self.model, self._rows(pushes), contexts)
+        met = contacts(contexts, pushes, found.mean)
+        inside = met.inside
+        if contexts.kind is ContextKind.SHAPE and contexts.index is not None:
+            inside = starts_inside(ShapeTensors(*contexts.tensors).outline, contexts.index, pushes[:, :3])
+        unfamiliar = unlike_known_pushes(self.model.manifest, pushes, contexts, found)
+        return PushOutcomes(found.mean.astype(np.float64), found.std.astype(np.float64), met.misses, inside, unfamiliar)
+
+    def object_warnings(self, angles: Angles) -> Warnings:
+        """Return the warnings about the object, its picture and the angles of a request, whatever its pushes are.
+
+        Raises:
+            ContextKindError, PredictionError, DeadlineError: see ``query.predict``.
+        """
+        contexts, rows = self._contexts_of(1), self._rows(_ANY_PUSH)
         found = predict(self.model, rows, contexts)
-        return PushOutcomes(
-            found.mean.astype(np.float64),
-            found.std.astype(np.float64),
-            contacts(contexts, pushes, found.mean).misses,
-            unlike_known_pushes(self.model.manifest, pushes, contexts, found),
-        )
+        warnings = find_warnings(self.model.manifest, rows, angles, contexts, found)
+        return tuple(warning for warning in warnings if warning.code not in _OF_PUSHES)
+
+    def _rows(self, pushes: DoubleArray) -> np.ndarray:
+        return pushes[:, : 4 if self.knows_lengths else 3].astype(np.float32)
+
+    def _contexts_of(self, count: int) -> ContextBatch:
+        """Return the context of this many pushes."""
+        if self.contexts.index is None:
+            return self.contexts
+        return replace(self.contexts, index=np.zeros(count, dtype=np.int64))

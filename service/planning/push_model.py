@@ -19,12 +19,14 @@ class PushOutcomes:
         mean: (n, 3) x_m, y_m, yaw_rad of the object after the push.
         std: (n, 3) standard deviations, m, m, rad. The three are independent.
         misses: (n,) true for the pushes that never touch the object.
+        inside: (n,) true for the pushes whose tip starts inside of the object, where its form is known.
         unfamiliar: (n,) true for the pushes that the model does not vouch for.
     """
 
     mean: DoubleArray
     std: DoubleArray
     misses: Rows
+    inside: Rows
     unfamiliar: Rows
 
 

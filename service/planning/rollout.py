@@ -26,11 +26,13 @@ class Rollout:
     Attributes:
         particles: (s, k, p, 3) x_m, y_m, yaw_rad after each of k pushes of s sequences.
         miss_probability: (s, k) share of particles that each push never touches.
+        inside_probability: (s, k) share of particles that the tip starts inside of.
         unfamiliar_probability: (s, k) share of particles whose push the model does not vouch for.
     """
 
     particles: DoubleArray
     miss_probability: DoubleArray
+    inside_probability: DoubleArray
     unfamiliar_probability: DoubleArray
 
     def moments(self) -> Moments:
@@ -53,7 +55,7 @@ def rollout(model: PushModel, object_pose: DoubleArray, pushes: DoubleArray, par
     poses = np.broadcast_to(object_pose, (count, particles, 3))
     is_one = object_pose.ndim == 1  # all particles meet the first push at one pose
     found = np.empty((count, steps, particles, 3))
-    misses, unfamiliar = np.empty((2, count, steps))
+    misses, inside, unfamiliar = np.empty((3, count, steps))
     for step in range(steps):
         met = poses[:, :1] if step == 0 and is_one else poses
         outcomes = model(_in_object_frames(pushes[:, step], met))
@@ -63,9 +65,10 @@ def rollout(model: PushModel, object_pose: DoubleArray, pushes: DoubleArray, par
         poses = moved(poses, motions)
         found[:, step] = poses
         misses[:, step] = outcomes.misses.reshape(shape).mean(axis=1)
+        inside[:, step] = outcomes.inside.reshape(shape).mean(axis=1)
         unfamiliar[:, step] = outcomes.unfamiliar.reshape(shape).mean(axis=1)
         pause()
-    return Rollout(found, misses, unfamiliar)
+    return Rollout(found, misses, inside, unfamiliar)
 
 
 def _in_object_frames(pushes: DoubleArray, poses: DoubleArray) -> DoubleArray:

@@ -1,7 +1,7 @@
 """Endpoints of ``/v1``: how their requests are checked, read, weighed and turned into queries."""
 
 import re
-from typing import Final
+from typing import Any, Final
 
 from starlette.datastructures import Headers as HeadersByName
 
@@ -147,4 +147,4 @@ CONTEXTS: Final = Endpoint(
     is_read_quickly=lambda _: False,
     held_bytes=_upload_bytes,
 )
-ENDPOINTS: Final = (SINGLE, BATCH, IMAGE, CONTEXTS)
+ENDPOINTS: Final[tuple[Endpoint[Any], ...]] = (SINGLE, BATCH, IMAGE, CONTEXTS)

@@ -22,12 +22,13 @@ _FILES: Final = {
 }
 
 
-def _request(examples: dict[str, Any]) -> dict[str, Any]:
+def json_examples(examples: dict[str, Any]) -> dict[str, Any]:
+    """Return named bodies in JSON as the part of an operation that shows them."""
     named = {name: {"summary": name, "value": value} for name, value in examples.items()}
     return {"requestBody": {"content": {"application/json": {"examples": named}}}}
 
 
-ONE_PUSH: Final = _request(
+ONE_PUSH: Final = json_examples(
     {
         "an object by its descriptor": {"pusher": _PUSHER, "context": _DESCRIPTOR},
         "an object by its indicator, one version of a model": {
@@ -52,7 +53,7 @@ ONE_PUSH: Final = _request(
         },
     }
 )
-MANY_PUSHES: Final = _request(
+MANY_PUSHES: Final = json_examples(
     {
         "of one object": {"pushers": [[-0.075, 0.0, 0.0], [0.0, -0.075, 1.5708]], "contexts": [_DESCRIPTOR]},
         "of several objects": {

@@ -53,7 +53,7 @@ _UPLOADED: Final = (
 )
 _BAD_NAME: Final = InvalidRequestError.at("path.name", "a text of 65 characters", "at most 64 characters")
 _LOOKED_UP: Final = (UnknownModelError, NotAcceptableError, _BAD_NAME, *_AT_ONCE)
-_PREDICTED: Final = (*_UPLOADED, UnknownModelError, ContextKindError, ModelNotReadyError, PredictionError, CazslError)
+PREDICTED: Final = (*_UPLOADED, UnknownModelError, ContextKindError, ModelNotReadyError, PredictionError, CazslError)
 
 
 async def takes_json(request: Request) -> None:
@@ -73,7 +73,7 @@ models = APIRouter(dependencies=[Depends(takes_json)], tags=["models"])
     "/v1/predict",
     summary="Predict one push",
     response_model=PredictResponse,
-    responses=problems(ProblemBody, *_PREDICTED),
+    responses=problems(ProblemBody, *PREDICTED),
     openapi_extra=ONE_PUSH,
 )
 async def predict(body: PredictRequest) -> None:
@@ -87,7 +87,7 @@ async def predict(body: PredictRequest) -> None:
     "/v1/predict/batch",
     summary="Predict up to 10,000 pushes of one or several objects",
     response_model=BatchResponse,
-    responses=problems(ProblemBody, *_PREDICTED),
+    responses=problems(ProblemBody, *PREDICTED),
     openapi_extra=MANY_PUSHES,
 )
 async def predict_many(body: BatchRequest) -> None:
@@ -101,7 +101,7 @@ async def predict_many(body: BatchRequest) -> None:
     "/v1/predict/image",
     summary="Predict pushes of the object in an image",
     response_model=PredictResponse | BatchResponse,
-    responses=problems(ProblemBody, *_PREDICTED),
+    responses=problems(ProblemBody, *PREDICTED),
     openapi_extra=PUSH_UPLOAD,
 )
 async def predict_image() -> None:

@@ -26,7 +26,9 @@ class Slider:
         mean = np.column_stack([length * np.cos(angle), length * np.sin(angle), np.zeros(len(pushes))])
         misses = x > 0.0
         mean[misses] = 0.0
-        return PushOutcomes(mean, np.broadcast_to(self.std, mean.shape), misses, pushes[:, 1] > 0.5)
+        return PushOutcomes(
+            mean, np.broadcast_to(self.std, mean.shape), misses, np.abs(pushes[:, 0]) < 0.01, pushes[:, 1] > 0.5
+        )
 
 
 def test_pushes_stay_in_the_world_while_the_object_turns() -> None:
@@ -79,3 +81,10 @@ def test_pushes_outside_of_the_domain_are_counted() -> None:
     """The share of particles whose push the model does not vouch for is reported for each push."""
     found = rollout(Slider(), np.array([0.0, -0.6, 0.0]), AHEAD, 4)
     assert found.unfamiliar_probability.tolist() == [[1.0, 1.0, 1.0]]
+
+
+def test_starts_inside_of_the_object_are_counted() -> None:
+    """The share of particles that the tip starts inside of is reported for each push."""
+    found = rollout(Slider(), np.array([-0.15, 0.0, 0.0]), AHEAD, 4)
+    assert found.inside_probability.tolist() == [[0.0, 0.0, 0.0]]
+    assert rollout(Slider(), np.array([-0.1, 0.0, 0.0]), AHEAD, 4).inside_probability.tolist() == [[1.0, 0.0, 0.0]]

@@ -1,0 +1,35 @@
+"""Request bodies of planning in the OpenAPI document. A test sends every example, and it is answered."""
+
+from typing import Final
+
+from service.api.v1.request_examples import json_examples
+from service.schemas.planning.rollouts import POSE_EXAMPLE, PUSH_EXAMPLE, REGION_EXAMPLE
+from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
+
+_BOX: Final = {"outline": OUTLINE_EXAMPLE}
+_ASIDE: Final = {"x": 0.43, "y": 0.02, "angle": 1.5708, "length": 0.05}
+
+SEQUENCES: Final = json_examples(
+    {
+        "two pushes of a box, and the probability of a region": {
+            "context": _BOX,
+            "object_pose": POSE_EXAMPLE,
+            "pushes": [PUSH_EXAMPLE, _ASIDE],
+            "region": REGION_EXAMPLE,
+        },
+        "two candidate sequences": {
+            "context": {"outline": L_EXAMPLE, "friction": 0.3},
+            "object_pose": POSE_EXAMPLE,
+            "sequences": [[PUSH_EXAMPLE], [_ASIDE, PUSH_EXAMPLE]],
+            "particles": 64,
+            "seed": 7,
+        },
+        "an object by its descriptor, with the particles": {
+            "context": {"descriptor": "1a2b3c4a"},
+            "object_pose": POSE_EXAMPLE,
+            "pushes": [PUSH_EXAMPLE],
+            "particles": 8,
+            "return_particles": True,
+        },
+    }
+)

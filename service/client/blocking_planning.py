@@ -1,0 +1,69 @@
+"""Methods of the blocking client about several pushes of one object."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy.typing as npt
+
+from service.client import planning_calls
+from service.client.arguments import Context
+from service.client.base import ClientBase
+from service.client.calls import Call
+from service.client.planning_calls import Region, Rollout
+
+T = TypeVar("T")
+
+
+class BlockingPlanning(ClientBase):
+    """The part of ``Client`` that asks about several pushes. Poses are in the world: x, y, angle in m, m, rad."""
+
+    @abstractmethod
+    def _send(self, call: Call[T]) -> T:
+        """Send a request and return its answer."""
+        ...
+
+    def rollout(
+        self,
+        pushes: npt.ArrayLike,
+        context: Context | None = None,
+        *,
+        object_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
+        region: Region | None = None,
+        particles: int | None = None,
+        seed: int = 0,
+        model: str | None = None,
+        return_particles: bool = False,
+    ) -> Rollout:
+        """Predict the object's pose after each of several pushes, in the world.
+
+        Args:
+            pushes: (k, 3) or (k, 4) x, y, angle, length of the pusher in the world, in m, m, rad, m.
+            context: as in ``predict``.
+            object_pose: (3,) pose of the object in the world before the first push.
+            region: region for which the answer has the probability that the object ends in it.
+            particles: poses that follow the pushes. None: 256.
+            seed: of the random numbers.
+            model: as in ``predict``.
+            return_particles: whether the answer has the particles.
+        """
+        return self._send(
+            planning_calls.rollout(pushes, context, object_pose, region, particles, seed, model, return_particles)
+        )
+
+    def rollouts(
+        self,
+        sequences: Sequence[npt.ArrayLike],
+        context: Context | None = None,
+        *,
+        object_pose: npt.ArrayLike = (0.0, 0.0, 0.0),
+        region: Region | None = None,
+        particles: int | None = None,
+        seed: int = 0,
+        model: str | None = None,
+    ) -> tuple[Rollout, ...]:
+        """Predict candidate sequences of pushes, up to 10,000 pushes in all. See ``rollout``.
+
+        Sequences share their random numbers, so they differ by their pushes alone.
+        """
+        return self._send(planning_calls.rollouts(sequences, context, object_pose, region, particles, seed, model))
