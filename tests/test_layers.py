@@ -58,6 +58,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.simulation": "service.errors service.processors service.pushing training.omnipush training.tables",
         "training.shapes": "service.errors service.pushing service.bulk training.omnipush training.tables "
         "training.simulation",
+        "training.environments": "service.errors service.pushing training.simulation training.shapes",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
         "training.inspection.tables": "service.errors service.pushing service.storage training.inspection "
@@ -121,6 +122,7 @@ LIBRARIES: Mapping[str, frozenset[str]] = {
         "training.tables": "numpy pyarrow tqdm",
         "training.shapes": "matplotlib numpy shapely tqdm",
         "training.simulation": "mujoco numpy tqdm",
+        "training.environments": "mujoco numpy",
         "training.networks": "torch",
         "training.inspection": "matplotlib numpy tqdm",
         "training.inspection.tables": "matplotlib numpy tqdm",

@@ -8,7 +8,7 @@ the push.
 
 import copy
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 import mujoco
 import numpy as np
@@ -17,7 +17,7 @@ from mujoco import rollout
 from service.pushing.poses import PUSH_LENGTH_M
 from training.simulation import exact
 from training.simulation.solids import BODY_DENSITY_KG_M3, FOOT_RADIUS_M, HEIGHT_M, WEIGHT_RADIUS_M, Solid
-from training.simulation.surfaces import CONTACT_FRICTION, EVEN, Array, Conditions
+from training.simulation.surfaces import CONTACT_FRICTION, EVEN, Array
 
 TIME_STEP_S: Final = 0.004  # costs 0.3 mm and 9 mrad (rms), see benchmarks/time_step.py
 PUSHER_RADIUS_M: Final = 0.00475
@@ -30,6 +30,21 @@ _FREE, _SLIDES = 7, 2  # number of positions of the object's free joint, of the 
 _WALLS: Final = 1  # collision bit of pusher and walls. Feet touch the table by declared pairs alone
 
 Arctangent = Callable[[Array, Array], Array]
+
+
+class PushConditions(Protocol):
+    """Conditions of n pushes, such as ``surfaces.Conditions``."""
+
+    @property
+    def world_poses(self) -> Array:
+        """Return the object's poses on the plate before the pushes, (n, 3): x_m, y_m, yaw_rad."""
+
+    @property
+    def contact(self) -> Array:
+        """Return the coefficients of friction of pusher and object, (n,)."""
+
+    def table_friction(self, feet_m: Array) -> Array:
+        """Return the friction along the world's y and x axes, (n, feet, 2), of feet at (n, feet, 2) on the plate."""
 
 
 def scene(body: Solid) -> mujoco.MjSpec:
@@ -63,22 +78,38 @@ def scene(body: Solid) -> mujoco.MjSpec:
 def push_object(
     body: Solid,
     pushers: Array,
-    conditions: Conditions,
+    conditions: PushConditions,
     pool: rollout.Rollout,
     threads: int,
     time_step_s: float = TIME_STEP_S,
     push_length_m: float = PUSH_LENGTH_M,
     arctan2: Arctangent = exact.atan2,
+    pusher_radius_m: float = PUSHER_RADIUS_M,
+    pusher_height_m: float = MIDDLE_M,
 ) -> Array:
     """Simulate pushes of one object.
 
-    A length or time step other than the dataset's serves to validate the simulator. The pusher's speed stays the same.
+    The defaults are those of the dataset. The pusher's speed is the same for all lengths.
+
+    Args:
+        body: the object.
+        pushers: (n, 3) starts and directions of the pusher in the object frame: x_m, y_m, angle_rad.
+        conditions: of every push.
+        pool: of MuJoCo's threads.
+        threads: number of them.
+        time_step_s: of the simulation.
+        push_length_m: of all pushes.
+        arctan2: of the angles of the outcomes.
+        pusher_radius_m: of its sphere.
+        pusher_height_m: of the sphere's centre over the table. Near the table, no object tips over.
 
     Returns:
         The object's true pose after each push, in the object frame before it, (n, 3): x_m, y_m, yaw_rad.
     """
     spec = scene(body)
     spec.option.timestep = time_step_s
+    spec.geom("pusher").size[0] = pusher_radius_m
+    spec.body("pusher").pos[2] = pusher_height_m
     model = spec.compile()
     models = [copy.copy(model) for _ in pushers]
     rod = model.geom("pusher").id
@@ -88,7 +119,7 @@ def push_object(
     feet = np.array(body.feet_m)
     datas = [mujoco.MjData(model) for _ in range(max(1, threads))]
     steps = round(PUSH_DURATION_S * push_length_m / PUSH_LENGTH_M / time_step_s)
-    for segment in np.array_split(np.arange(steps), round(push_length_m / SEGMENT_M)):
+    for segment in np.array_split(np.arange(steps), max(1, round(push_length_m / SEGMENT_M))):
         friction = conditions.table_friction(_placed(feet, _object_poses(state, arctan2)))
         for each, of_feet in zip(models, friction, strict=True):
             each.pair_friction[:, :2] = of_feet

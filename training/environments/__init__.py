@@ -1,0 +1,5 @@
+"""Environments: one object on a table, pushed one push at a time in the world, for planners and for learning.
+
+``tabletop`` simulates the pushes in MuJoCo. ``tasks`` draws objects, starts and goals. Calls point downward: of the
+trainer, this package imports ``simulation`` and ``shapes``.
+"""
