@@ -27,7 +27,7 @@ from service.client.errors import (
     UnreachableError,
     UnreadableAnswerError,
 )
-from service.client.planning_calls import Region, Rollout, Steps
+from service.client.planning_calls import PushMap, Region, Rollout, Steps
 from service.client.retries import Retries
 from service.schemas.contexts import ContextBody
 
@@ -39,6 +39,7 @@ __all__ = [
     "ContextBody",
     "Predictions",
     "ProblemError",
+    "PushMap",
     "Region",
     "Retries",
     "Rollout",

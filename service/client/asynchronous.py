@@ -16,7 +16,7 @@ from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, Client
 from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
-from service.client.planning_calls import Region, Rollout
+from service.client.planning_calls import PushMap, Region, Rollout
 from service.client.retries import Retries, retry_after_s
 from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
 from service.schemas.models import ModelBody, ModelsBody, ModelVersionDetailBody
@@ -142,6 +142,18 @@ class AsyncClient(ClientBase):
         return await self._send(
             planning_calls.rollouts(sequences, context, object_pose, region, particles, seed, model)
         )
+
+    async def push_map(
+        self,
+        context: Context,
+        *,
+        spacing: float | None = None,
+        angles: npt.ArrayLike | None = None,
+        length: float | None = None,
+        model: str | None = None,
+    ) -> PushMap:
+        """See ``Client.push_map``."""
+        return await self._send(planning_calls.push_map(context, spacing, angles, length, model))
 
     async def list_models(self) -> ModelsBody:
         """See ``Client.list_models``."""

@@ -10,7 +10,7 @@ from service.client import planning_calls
 from service.client.arguments import Context
 from service.client.base import ClientBase
 from service.client.calls import Call
-from service.client.planning_calls import Region, Rollout
+from service.client.planning_calls import PushMap, Region, Rollout
 
 T = TypeVar("T")
 
@@ -67,3 +67,23 @@ class BlockingPlanning(ClientBase):
         Sequences share their random numbers, so they differ by their pushes alone.
         """
         return self._send(planning_calls.rollouts(sequences, context, object_pose, region, particles, seed, model))
+
+    def push_map(
+        self,
+        context: Context,
+        *,
+        spacing: float | None = None,
+        angles: npt.ArrayLike | None = None,
+        length: float | None = None,
+        model: str | None = None,
+    ) -> PushMap:
+        """Predict pushes from all around an object of known outline, in its frame.
+
+        Args:
+            context: an outline, the result of ``find_outline``, or a descriptor.
+            spacing: distance between two places along the outline, in m. None: 48 places around it.
+            angles: (a,) directions from the inward normal, in rad. None: -0.5, 0 and 0.5.
+            length: of every push, in m. None: 0.05.
+            model: as in ``predict``.
+        """
+        return self._send(planning_calls.push_map(context, spacing, angles, length, model))

@@ -111,7 +111,7 @@ def predict(
     length: float | None = None,
 ) -> Call[PredictResponse]:
     """Build the request for one push."""
-    document: dict[str, Any] = {"pusher": pose_document(pusher, "pusher"), **_model_field(model)}
+    document: dict[str, Any] = {"pusher": pose_document(pusher, "pusher"), **model_field(model)}
     if length is not None:
         document["pusher"]["length"] = float(finite_array(length, "length"))
     if context is not None:
@@ -131,7 +131,7 @@ def predict_batch(
 ) -> Call[Predictions]:
     """Build the request for many pushes."""
     rows = pose_rows(pushers, "pushers")
-    document: dict[str, Any] = {"pushers": rows, **lengths_field(lengths), **_model_field(model)}
+    document: dict[str, Any] = {"pushers": rows, **lengths_field(lengths), **model_field(model)}
     if contexts is not None:
         several = [contexts] if isinstance(contexts, Context) else contexts
         document["contexts"] = [context_document(context) for context in several]
@@ -154,7 +154,7 @@ def predict_image(
     """Build the request for many pushes of the object in an image."""
     rows = pose_rows(pushers, "pushers")
     given = {"pushers": rows, **lengths_field(lengths), **detail_fields(details or {})}
-    fields = {name: _dump(value) for name, value in given.items()} | _model_field(model)
+    fields = {name: _dump(value) for name, value in given.items()} | model_field(model)
     if object_poses is not None:
         fields["object_poses"] = _dump(pose_rows(object_poses, "object_poses"))
     body = {"data": fields, "files": {"image": ("image", image_content(image))}}
@@ -208,7 +208,12 @@ def _dump(document: object) -> bytes:
         ) from error
 
 
-def _model_field(model: str | None) -> dict[str, Any]:
+def model_field(model: str | None) -> dict[str, Any]:
+    """Return the field that names a model, if one is named.
+
+    Raises:
+        ProblemError: the name cannot be written as UTF-8.
+    """
     if model is None:
         return {}
     try:

@@ -14,11 +14,13 @@ from service.client.arguments import (
     finite_array,
     pose_document,
 )
-from service.client.calls import MAX_ANSWER_BYTES, Call, Numbers, answer_array, check_warnings, post
+from service.client.calls import MAX_ANSWER_BYTES, Call, Numbers, answer_array, check_warnings, model_field, post
 from service.client.errors import ProblemError, UnreadableAnswerError
 from service.schemas.models import ModelVersionBody
+from service.schemas.planning.push_maps import PushMapResponse
 from service.schemas.planning.rollouts import MOST_RETURNED, RolloutResponse, RolloutsResponse, SequenceBody
 from service.schemas.predictions import BatchWarningBody
+from service.schemas.rows import MAX_PUSHES
 
 _STEP_BYTES: Final = 1024
 _PARTICLE_BYTES: Final = 96
@@ -82,6 +84,35 @@ class Rollout:
     warnings: tuple[BatchWarningBody, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class PushMap:
+    """Push map of one object: n pushes from all around it, in its frame.
+
+    Attributes:
+        model: model and version that answered.
+        pushers: (n, 3) x, y, angle of the tip before each push, in m, m, rad.
+        points: (n, 2) place of the outline where each starts, in m.
+        length: of every push, in m.
+        mean: (n, 3) x, y, angle of the object after each push.
+        std: (n, 3) standard deviations of them.
+        contact: (n,) whether each push touches the object.
+        effectiveness: (n,) motion of the object's points, as root mean square, over the length of the push.
+        uncertainty: (n,) standard deviation of where they end, as root mean square, in m.
+        warnings: reasons not to rely on some pushes.
+    """
+
+    model: ModelVersionBody
+    pushers: Numbers
+    points: Numbers
+    length: float
+    mean: Numbers
+    std: Numbers
+    contact: npt.NDArray[np.bool_]
+    effectiveness: Numbers
+    uncertainty: Numbers
+    warnings: tuple[BatchWarningBody, ...]
+
+
 def rollout(
     pushes: npt.ArrayLike,
     context: Context | None,
@@ -130,6 +161,31 @@ def rollouts(
     return post("/v1/rollout", document, read, _bytes(sum(map(len, rows)), False))
 
 
+def push_map(
+    context: Context, spacing: float | None, angles: npt.ArrayLike | None, length: float | None, model: str | None
+) -> Call[PushMap]:
+    """Build the request for a push map."""
+    document = {"context": context_document(context), **model_field(model)}
+    given = {"spacing": spacing, "angles": angles, "length": length}
+    document |= {name: finite_array(value, name).tolist() for name, value in given.items() if value is not None}
+    return post("/v1/push-map", document, _push_map, MAX_ANSWER_BYTES + MAX_PUSHES * _STEP_BYTES)
+
+
+def _push_map(content: bytes) -> PushMap:
+    """Return a push map as arrays."""
+    body = PushMapResponse.model_validate_json(content, extra="ignore")
+    count = len(body.pushers)
+    rows = (body.pushers, 3), (body.points, 2), (body.mean, 3), (body.std, 3)
+    pushers, points, mean, std = (answer_array(found, (count, width), np.float64) for found, width in rows)
+    effectiveness, uncertainty = (
+        answer_array(found, (count,), np.float64) for found in (body.effectiveness, body.uncertainty)
+    )
+    if len(body.contact) != count:
+        raise UnreadableAnswerError(f"the answer has {len(body.contact)} contacts; expected {count}")
+    contact, warnings = np.array(body.contact, dtype=np.bool_), check_warnings(body.warnings, count)
+    return PushMap(body.model, pushers, points, body.length, mean, std, contact, effectiveness, uncertainty, warnings)
+
+
 def push_documents(pushes: npt.ArrayLike, where: str) -> list[dict[str, float]]:
     """Return the documents of pushes (k, 3) x, y, angle, or (k, 4) with lengths.
 
@@ -163,12 +219,8 @@ def read_steps(body: SequenceBody, count: int) -> Steps:
 
 def object_question(context: Context | None, object_pose: npt.ArrayLike, model: str | None) -> dict[str, Any]:
     """Return the fields of a question about one object."""
-    document: dict[str, Any] = {"object_pose": pose_document(object_pose, "object_pose")}
-    if context is not None:
-        document["context"] = context_document(context)
-    if model is not None:
-        document["model"] = model
-    return document
+    document = {"object_pose": pose_document(object_pose, "object_pose"), **model_field(model)}
+    return document if context is None else document | {"context": context_document(context)}
 
 
 def _question(

@@ -2,6 +2,7 @@
 
 ``push_model`` is the protocol of a model of one object, which may be a served model, mechanics or a simulator.
 ``particles`` are poses of the object that pushes move, with their moments. ``rollout`` predicts sequences of pushes
-with them. The service, the client in process and the benchmarks call the same functions. Calls point downward: this
-package imports ``service.pushing``, ``service.model``, ``service.turns`` and ``service.errors``.
+with them, and ``push_map`` pushes from all around an outline. The service, the client in process and the benchmarks
+call the same functions. Calls point downward: this package imports ``service.pushing``, ``service.model``,
+``service.turns`` and ``service.errors``.
 """

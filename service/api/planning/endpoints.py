@@ -3,11 +3,13 @@
 from collections.abc import Callable
 from typing import Any, Final, TypeVar
 
+from service.api.planning.push_map import answer_push_map
 from service.api.planning.rollout import answer_rollout
 from service.api.v1.endpoints import check_json
 from service.inference.query import Answer
 from service.inference.snapshot import Snapshot
 from service.schemas.body import Body, parse_body
+from service.schemas.planning.push_maps import PushMapRequest
 from service.schemas.planning.rollouts import RolloutRequest
 from service.transport.endpoints import Endpoint, Weight
 
@@ -25,4 +27,7 @@ def _endpoint(path: str, kind: type[B], answer: Callable[[Snapshot, B], Answer])
     )
 
 
-PLANNING_ENDPOINTS: Final[tuple[Endpoint[Any], ...]] = (_endpoint("/v1/rollout", RolloutRequest, answer_rollout),)
+PLANNING_ENDPOINTS: Final[tuple[Endpoint[Any], ...]] = (
+    _endpoint("/v1/rollout", RolloutRequest, answer_rollout),
+    _endpoint("/v1/push-map", PushMapRequest, answer_push_map),
+)

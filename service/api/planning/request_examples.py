@@ -33,3 +33,15 @@ SEQUENCES: Final = json_examples(
         },
     }
 )
+AROUND: Final = json_examples(
+    {
+        "a box": {"context": _BOX},
+        "an L, 20 mm from every side, straight and aslant": {
+            "context": {"outline": L_EXAMPLE},
+            "spacing": 0.01,
+            "angles": [-0.4, 0.0, 0.4],
+            "length": 0.02,
+        },
+        "an object by its descriptor": {"context": {"descriptor": "1a2b3c4a"}, "angles": [0.0]},
+    }
+)

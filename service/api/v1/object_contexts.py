@@ -18,7 +18,7 @@ from service.pushing.contexts import ObjectContext, VisualContext
 from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode, visual_context
 from service.pushing.shape_context import ShapeContext
-from service.schemas.contexts import ContextBody
+from service.schemas.contexts import ContextBody, DomainContext
 from service.schemas.shapes import FoundShape, ShapeDetails, ShapeKey, find_shape
 from service.turns import pause
 
@@ -57,6 +57,11 @@ def encode_context(context: ContextBody | None) -> ContextBatch:
             pass  # raised again below, with the field
     kind, tensors, flags = _encode(context, key, _FIELD)
     return ContextBatch(kind, tensors, FIRST_CONTEXT, _FIELD, (flags,) if flags else ())
+
+
+def encode_known(known: DomainContext, flags: Flags) -> ContextBatch:
+    """Encode an object context that was read, with the faults of its photograph."""
+    return ContextBatch(known.kind, _tensors(known), FIRST_CONTEXT, _FIELD, (flags,) if flags else ())
 
 
 def encode_contexts(contexts: Sequence[ContextBody] | None, index: IndexArray | None) -> ContextBatch:
@@ -161,7 +166,7 @@ def _encode(context: ContextBody, key: str | ShapeKey | None, where: str) -> tup
     return known.kind, tensors, flags
 
 
-def _tensors(known: ObjectContext | VisualContext | ShapeContext) -> Tensors:
+def _tensors(known: DomainContext) -> Tensors:
     """Return the tensors (1, ...) of one context, in the order of a model's inputs."""
     found = known.tensors() if isinstance(known, ShapeContext) else (known.tensor(),)
     return tuple(tensor[None] for tensor in found)
