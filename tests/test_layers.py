@@ -58,7 +58,7 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "training.simulation": "service.errors service.processors service.pushing training.omnipush training.tables",
         "training.shapes": "service.errors service.pushing service.bulk training.omnipush training.tables "
         "training.simulation",
-        "training.environments": "service.errors service.pushing training.simulation training.shapes",
+        "training.environments": "service.errors service.pushing service.planning training.simulation training.shapes",
         "training.networks": "service.model service.pushing training.omnipush",
         "training.inspection": "service.errors service.pushing service.storage training.omnipush training.simulation",
         "training.inspection.tables": "service.errors service.pushing service.storage training.inspection "
@@ -154,6 +154,8 @@ HOMES: Mapping[str, frozenset[str]] = {
         "service.api.planning.routes": "fastapi",
         "service.cli.serve": "starlette uvicorn",
         "training.publishing.onnx_export": "onnx",
+        "training.environments.environment": "gymnasium",
+        "training.environments.pictures": "PIL",
         "training.simulation.camera": "PIL",
         "training.simulation.pieces": "shapely",
     }.items()

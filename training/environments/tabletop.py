@@ -20,8 +20,7 @@ from service.pushing.first_contact import first_contact
 from service.pushing.outlines import Outline
 from service.pushing.poses import MAX_LENGTH_M, DoubleArray, into_object_frame, wrap_angle
 from service.pushing.support import balanced
-from training.shapes.dataset import ANY_PLATE
-from training.simulation.bodies import Body, Conditions, Physics, draw_body, draw_conditions
+from training.simulation.bodies import ANY_PLATE, Body, Conditions, Physics, draw_body, draw_conditions
 from training.simulation.pieces import convex_pieces
 from training.simulation.scene import PUSHER_RADIUS_M, push_object
 from training.simulation.solids import BODY_DENSITY_KG_M3, HEIGHT_M, Solid, Weight
@@ -109,16 +108,20 @@ class Tabletop:
             self._pose = _composed(self._pose, moved)
         return self.pose
 
+    def depth_m(self, push: DoubleArray) -> float:
+        """Return how deep the start of a push (4,) in the world is inside of the object. It is negative outside."""
+        start = into_object_frame(push[None, :3], self._pose[None])[:, :2]
+        return -float(self.outline.distance_m(start)[0])
+
     def _in_object_frame(self, push: DoubleArray) -> DoubleArray:
         """Return a push (4,) of the world in the object frame, if it is one."""
         if not 0.0 <= push[3] <= MAX_LENGTH_M:
             raise InvalidRequestError.at("push.3", f"a length of {push[3]:g} m", f"0 to {MAX_LENGTH_M:g} m")
-        pusher = np.append(into_object_frame(push[None, :3], self._pose[None])[0], push[3])
-        depth_m = -float(self.outline.distance_m(pusher[None, :2])[0])
+        depth_m = self.depth_m(push)
         if depth_m > 0.0:
             received = f"a start at ({push[0]:.4g}, {push[1]:.4g}) m, {1e3 * depth_m:.3g} mm inside the object"
             raise InvalidRequestError.at("push", received, "a start outside of the object's outline")
-        return pusher
+        return np.append(into_object_frame(push[None, :3], self._pose[None])[0], push[3])
 
     def _from_touch(self, pusher: DoubleArray) -> DoubleArray:
         """Return the rest of a push (4,), in the object frame, from just before its first contact on.

@@ -18,7 +18,7 @@ MOST_TURN_RAD: Final = np.pi / 2
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """Task: bring an object from its start to a goal, both (3,) x_m, y_m, yaw_rad in the world."""
+    """Task: bring an object from its start to a goal, both (3,) x_m, y_m, yaw_rad in the world, angles as drawn."""
 
     drawn: DrawnObject
     start: DoubleArray
@@ -45,24 +45,32 @@ class Task:
 def draw_tasks(families: Sequence[str], count: int, seed: int = 0) -> list[Task]:
     """Draw tasks with objects of families in turn, such as those that a model never saw.
 
-    Objects, their weight, friction and pusher are those of ``training.shapes.objects``, 50 to 200 mm across. The start
-    is any pose within 0.1 m of the origin along each axis. The goal is 50 to 200 mm from it in any direction, and
-    turned by at most 90 degrees. A task does not depend on how many are drawn.
+    A task does not depend on how many are drawn.
     """
     return [
-        _draw_task(families[number % len(families)], np.random.default_rng([seed, number])) for number in range(count)
+        draw_task(families[number % len(families)], np.random.default_rng([seed, number])) for number in range(count)
     ]
 
 
-def _draw_task(family: str, rng: np.random.Generator) -> Task:
+def draw_task(family: str, rng: np.random.Generator) -> Task:
+    """Draw a task with an object of a family.
+
+    Objects, their weight, friction and pusher are those of ``training.shapes.objects``, 50 to 200 mm across. The start
+    is any pose within 0.1 m of the origin along each axis. For the goal see ``draw_pose``.
+    """
     while True:
         drawn = draw_object(family, rng)
         if SIZES_M[0] <= drawn.outline.extent_m <= SIZES_M[1]:
             start = rng.uniform((-0.1, -0.1, -np.pi), (0.1, 0.1, np.pi))
-            distance, bearing = rng.uniform(*DISTANCES_M), rng.uniform(-np.pi, np.pi)
-            turn = rng.uniform(-MOST_TURN_RAD, MOST_TURN_RAD)
-            goal = start + np.array([distance * np.cos(bearing), distance * np.sin(bearing), turn])
-            task = Task(drawn, start, goal, int(rng.integers(2**31)))
+            task = Task(drawn, start, draw_pose(start, rng), int(rng.integers(2**31)))
             with suppress(ValueError):  # of 10,000 objects about one, whose feet do not surround a heavy end
                 task.tabletop()
                 return task
+
+
+def draw_pose(near: DoubleArray, rng: np.random.Generator) -> DoubleArray:
+    """Draw a pose (3,) that is 50 to 200 mm from another in any direction, and turned by at most 90 degrees."""
+    distance_m, bearing = rng.uniform(*DISTANCES_M), rng.uniform(-np.pi, np.pi)
+    turn = rng.uniform(-MOST_TURN_RAD, MOST_TURN_RAD)
+    away = np.array([distance_m * np.cos(bearing), distance_m * np.sin(bearing), turn])
+    return np.asarray(near + away)

@@ -26,7 +26,7 @@ from training.omnipush.npy_files import NpyKind, parse_npy, read_content, write_
 from training.shapes.families import FAMILIES
 from training.shapes.objects import DrawnObject, draw_object
 from training.simulation.approach import Approach, draw_pushers
-from training.simulation.bodies import RECORDED, Body, Physics, draw_body
+from training.simulation.bodies import ANY_PLATE, Body, Physics, draw_body
 from training.simulation.exact import Array, exp
 from training.simulation.pushing import ITERATIONS, STEP_M, STEPS_A_RADIUS, STEPS_A_SIZE, simulate_pushes
 from training.tables.files import MAX_PUSHES, is_table
@@ -35,12 +35,6 @@ from training.tables.writing import write_table
 
 PUSH_LENGTHS_M: Final = (0.005, 0.120)
 ANYWHERE: Final = Approach(miss_share=0.1, central_share=0.0)
-# One of four bodies rests on a few feet, as on a rough plate. The others press evenly, which keeps the mean of any
-# pressure where recordings have it. What is not known of a push is wider than between two repeats of it,
-# because a frame that is off by half a millimetre is so in both (docs/log.md).
-ANY_PLATE: Final = replace(
-    RECORDED, pressures=("even", "even", "even", "few"), misplaced_m=0.001, misplaced_rad=0.01, roughness=0.55
-)
 PARTS: Final = "parts"
 SURFACE: Final = "simulated"  # friction of a plate moves quasi-static objects alike, so it has no other name
 _MICRO: Final = 6  # decimals of lengths
