@@ -28,7 +28,9 @@ from tests.valid_bodies import (
     make_batch_valid,
     make_image_valid,
     make_inference_valid,
+    make_map_valid,
     make_push_valid,
+    make_rollout_valid,
     make_upload_valid,
     picture,
 )
@@ -55,6 +57,8 @@ MAKE_VALID: dict[str, Callable[[dict[str, Any]], None]] = {
     "/v1/predict/batch": make_batch_valid,
     "/v1/predict/image": make_upload_valid,
     "/v1/contexts": make_image_valid,
+    "/v1/rollout": make_rollout_valid,
+    "/v1/push-map": make_map_valid,
     "/v2/models/{name}/infer": make_inference_valid,
     "/v2/models/{name}/versions/{version}/infer": make_inference_valid,
 }

@@ -100,6 +100,42 @@ def make_context_valid(context: Json) -> str:
     return KINDS[form]
 
 
+def make_rollout_valid(body: Json) -> None:
+    """Give a rollout a possible object, pushes or candidate sequences within reach, and few particles."""
+    kind = "none"
+    if body.get("context") is not None:
+        kind = make_context_valid(body["context"])
+    _choose_model(kind, body)
+    if body.get("sequences") is not None or body.get("pushes") is None:
+        body.pop("pushes", None)
+        body["sequences"] = [_sequence(pushes, kind, body) for pushes in (body.get("sequences") or [[{}]])[:20]]
+    else:
+        body["pushes"] = _sequence(body["pushes"], kind, body)
+    body["particles"] = 1 + int(body.get("particles") or 0) % 8
+
+
+def make_map_valid(body: Json) -> None:
+    """Give a push map an object of known outline, and few pushes."""
+    kind = make_context_valid(body["context"])
+    if kind == "visual":
+        body["context"], kind = {"outline": _star(repr(body))}, "shape"
+    _choose_model(kind, body)
+    if body.get("spacing") is not None:
+        body["spacing"] = max(body["spacing"], 0.005)
+    if kind != "shape":
+        body.pop("length", None)
+
+
+def _sequence(pushes: list[Json], kind: str, body: Json) -> list[Json]:
+    """Return pushes near the object, with the length that its model knows."""
+    pose, found = body["object_pose"], []
+    for push in pushes:
+        near = {name: _near(push.get(name, 0.0), pose[name]) for name in ("x", "y")}
+        lengths = {"length": push["length"]} if kind == "shape" and "length" in push else {}
+        found.append({**near, "angle": push.get("angle", 0.0), **lengths})
+    return found
+
+
 def make_image_valid(body: Json) -> None:
     """Replace the name of a file, which stands for an image in an example, by an image file.
 

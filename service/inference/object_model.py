@@ -50,7 +50,9 @@ class ObjectModel:
         if contexts.kind is ContextKind.SHAPE and contexts.index is not None:
             inside = starts_inside(ShapeTensors(*contexts.tensors).outline, contexts.index, pushes[:, :3])
         unfamiliar = unlike_known_pushes(self.model.manifest, pushes, contexts, found)
-        return PushOutcomes(found.mean.astype(np.float64), found.std.astype(np.float64), met.misses, inside, unfamiliar)
+        return PushOutcomes(
+            found.mean.astype(np.float64), found.std.astype(np.float64), met.misses & ~inside, inside, unfamiliar
+        )
 
     def object_warnings(self, angles: Angles) -> Warnings:
         """Return the warnings about the object, its picture and the angles of a request, whatever its pushes are.

@@ -61,6 +61,8 @@ GOOD = {
         "/v1/predict/batch",
         {"pushers": POSES, "contexts": [CONTEXT], "object_poses": [[0.0, 0.0, 1.0]]},
     ),
+    "a rollout": ("/v1/rollout", {"context": CONTEXT, "object_pose": PUSHER, "pushes": [PUSHER, PUSHER]}),
+    "a push map": ("/v1/push-map", {"context": CONTEXT}),
 }
 BAD = {
     "no JSON": ("/v1/predict", b"{"),
@@ -74,6 +76,8 @@ BAD = {
     "another kind": ("/v1/predict", {"pusher": PUSHER, "context": CONTEXT, "model": "push-visual"}),
     "short rows": ("/v1/predict/batch", {"pushers": [[0.0, 0.0]]}),
     "too many": ("/v1/predict/batch", {"pushers": [[0.0, 0.0, 0.0]] * 10_001, "contexts": [CONTEXT]}),
+    "a rollout without pushes": ("/v1/rollout", {"object_pose": PUSHER}),
+    "a push map of a view": ("/v1/push-map", {"context": {"visual": GREY}}),
     "contexts that do not fit": ("/v1/predict/batch", {"pushers": POSES, "contexts": [CONTEXT] * 2}),
 }
 

@@ -19,6 +19,7 @@ from tests.fakes import fake_models, publish_fake
 def shipped(project_root: Path) -> Iterator[TestClient]:
     """Return a client of the application over the models that ship."""
     models = LoadedModels(Registry(project_root / "models"), OnnxPredictor)
+    models.refresh()  # the application awaits its first poll for two seconds, which a busy machine may exceed
     with TestClient(create_app(Settings(poll_interval_s=3600), models), raise_server_exceptions=False) as found:
         yield found
 
