@@ -112,6 +112,7 @@ def make_rollout_valid(body: Json) -> None:
     else:
         body["pushes"] = _sequence(body["pushes"], kind, body)
     body["particles"] = 1 + int(body.get("particles") or 0) % 8
+    body["seed"] = int(body.get("seed") or 0)  # a schema counts 1.0 among the integers, strict bodies do not
 
 
 def make_map_valid(body: Json) -> None:
