@@ -122,7 +122,8 @@ def make_map_valid(body: Json) -> None:
         body["context"], kind = {"outline": _star(repr(body))}, "shape"
     _choose_model(kind, body)
     if body.get("spacing") is not None:
-        body["spacing"] = max(body["spacing"], 0.005)
+        body["spacing"] = min(max(body["spacing"], 0.005), 0.01)  # of few places none may have room for a tip
+    body["context"].pop("pusher_radius", None)
     if kind != "shape":
         body.pop("length", None)
 
