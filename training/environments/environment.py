@@ -144,9 +144,9 @@ class PushToGoal(gymnasium.Env[Observation, DoubleArray]):
         Raises:
             InvalidRequestError: the action is not finite numbers of the right count, or its length is negative.
         """
-        push = self._push(np.asarray(action, dtype=np.float64))
+        push = self._push(action)
         info: dict[str, Any] = {"push": push}
-        if push.shape == (4,) and self.table.depth_m(push) > 0.0:
+        if self.table.depth_m(push) > 0.0:
             info["refused"] = "the push starts inside of the object; start it outside of the outline"
         else:
             self.table.push(push)
@@ -166,7 +166,7 @@ class PushToGoal(gymnasium.Env[Observation, DoubleArray]):
 
     def _push(self, action: DoubleArray) -> DoubleArray:
         """Return the push (4,) in the world of an action."""
-        return _MIDDLE + action * _SCALE if action.shape == (4,) else action
+        return _MIDDLE + _numbers(action, "action", 4) * _SCALE
 
     def _observation(self) -> Observation:
         outline = np.empty((CORNERS, 2))
@@ -192,7 +192,8 @@ class PushToGoalAround(PushToGoal):
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float64)
 
     def _push(self, action: DoubleArray) -> DoubleArray:
-        return push_around(self.table.outline, self.table.pose, self.table.pusher_radius_m, action)
+        numbers = _numbers(action, "action", 3)
+        return push_around(self.table.outline, self.table.pose, self.table.pusher_radius_m, numbers)
 
 
 def to_action(push: npt.ArrayLike) -> DoubleArray:

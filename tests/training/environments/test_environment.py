@@ -165,6 +165,11 @@ def test_an_action_that_is_none_is_refused() -> None:
     for action in ([0.5, 0.5, math.nan, 0.0], [0.5, 0.5, 0.0], [0.5, 0.5, 0.0, -1.5]):
         with pytest.raises(InvalidRequestError):
             environment.step(np.array(action))
+    around = PushToGoalAround()
+    around.reset(seed=1, options=BESIDE)
+    for numbers in ([0.5, 0.5, math.inf], [0.5, 0.5, 0.0, 0.0]):
+        with pytest.raises(InvalidRequestError, match="action"):
+            around.step(np.array(numbers))
 
 
 def test_a_picture_is_drawn_on_demand() -> None:

@@ -79,6 +79,7 @@ def test_a_start_inside_the_object_is_refused() -> None:
     [
         ((0.0, 1.0, 0.0), "4 finite numbers"),
         ((0.0, math.nan, 0.0, 0.05), "4 finite numbers"),
+        ((0.0, 1e300, 0.0, 0.05), "4 finite numbers within 1e"),
         ((0.0, 1.0, 0.0, -0.05), "0 to 1 m"),
         ((0.0, 1.0, 0.0, 1.5), "0 to 1 m"),
     ],
