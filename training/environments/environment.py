@@ -166,7 +166,7 @@ class PushToGoal(gymnasium.Env[Observation, DoubleArray]):
 
     def _push(self, action: DoubleArray) -> DoubleArray:
         """Return the push (4,) in the world of an action."""
-        return _MIDDLE + _numbers(action, "action", 4) * _SCALE
+        return np.asarray(_MIDDLE + _numbers(action, "action", 4) * _SCALE)
 
     def _observation(self) -> Observation:
         outline = np.empty((CORNERS, 2))
