@@ -31,6 +31,10 @@ CLIENT_BLOCKS = re.findall(
     r"^```python\n(.*?)^```$", (ROOT / "docs" / "client.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
 )
 
+PLANNING_BLOCKS = re.findall(
+    r"^```python\n(.*?)^```$", (ROOT / "docs" / "planning.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+)
+
 
 @pytest.fixture(scope="module")
 def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
@@ -80,6 +84,16 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
     printed = run(command, "", folder)
     assert "422 invalid_request body.pusher.x" in printed
     assert "world" in printed
+
+
+def test_every_line_about_planning_runs(port: int, folder: Path) -> None:
+    """The code blocks of docs/planning.md run as one program, in a folder with the photograph."""
+    assert len(PLANNING_BLOCKS) == 5
+    code = "\n".join(PLANNING_BLOCKS).replace("localhost:8000", f"127.0.0.1:{port}")
+    printed = run(
+        [sys.executable, "-W", "error", "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r})\n{code}"], "", folder
+    )
+    assert "turns the object least" in printed
 
 
 def test_every_error_that_a_client_can_get_is_in_the_table() -> None:
