@@ -1,4 +1,4 @@
-"""Serving compared with other servers: single pushes, batches, outlines, pushes while images are decoded, start.
+"""Serving compared with other servers: single pushes, batches, outlines, pushes beside longer work, start.
 
     python -m benchmarks.serving [--rounds 7] [--seconds 2] [--part images] [--peer litserve=PYTHON] ...
 
@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from PIL import Image
@@ -34,8 +35,9 @@ from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 ROWS = 1000
 CONNECTIONS = 16
 CORNERS = 64
-PARTS = ("singles", "batches", "shapes", "images", "start")
+PARTS = ("singles", "batches", "shapes", "images", "rollouts", "start")
 EMPTY = "(a) empty FastAPI endpoint, same schemas"
+_JSON: Final = {"Content-Type": "application/json"}
 _VARIED = """
 local number = 0
 request = function()
@@ -89,7 +91,7 @@ def batch_loads() -> dict[str, Load]:
     head = json.dumps({"inputs": inputs, "parameters": {"binary_data_output": True}}).encode()
     raw = head + b"".join(array.tobytes() for _, _, array in tensors)
     return {
-        "JSON": Load("/v1/predict/batch", body.encode(), {"Content-Type": "application/json"}),
+        "JSON": Load("/v1/predict/batch", body.encode(), _JSON),
         "binary, /v2": Load(
             "/v2/models/push-indicator/infer", raw, {"Inference-Header-Content-Length": str(len(head))}
         ),
@@ -106,7 +108,7 @@ def image_load() -> Load:
 
 def single_pushes(servers: dict[str, Server], folder: Path, rounds: int, seconds: int) -> None:
     """Measure every server in turn with one push per request."""
-    script = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
+    script = Load("/v1/predict", PUSH, _JSON).script(folder, "push")
     runs: dict[str, list[WrkFigures]] = {name: [] for name in servers}
     for _ in range(rounds):
         for name, target in servers.items():
@@ -153,7 +155,6 @@ def outline() -> list[list[float]]:
 
 def shapes(ours: Server, empty: Server, folder: Path, rounds: int, seconds: int) -> None:
     """Measure pushes of an outline of 64 corners beside those of a descriptor and the empty endpoint, in one run."""
-    kind = {"Content-Type": "application/json"}
     context = {"friction": 0.25, "outline": outline()}  # the friction comes first, so that it can be varied
     pusher = {"x": -0.1, "y": 0.0, "angle": 0.0, "length": 0.06}
     rng = np.random.default_rng(0)
@@ -161,12 +162,12 @@ def shapes(ours: Server, empty: Server, folder: Path, rounds: int, seconds: int)
     batch = json.dumps({"pushers": starts, "lengths": 0.06, "contexts": [context]})
     one = json.dumps({"pusher": pusher, "context": context})
     loads = {
-        "empty endpoint": (empty, Load("/v1/predict", PUSH, kind), CONNECTIONS),
-        "one push by descriptor": (ours, Load("/v1/predict", PUSH, kind), CONNECTIONS),
-        "one push of an outline that was seen": (ours, Load("/v1/predict", one.encode(), kind), CONNECTIONS),
-        "one push of an outline that is new": (ours, Load("/v1/predict", one.encode(), kind), CONNECTIONS),
+        "empty endpoint": (empty, Load("/v1/predict", PUSH, _JSON), CONNECTIONS),
+        "one push by descriptor": (ours, Load("/v1/predict", PUSH, _JSON), CONNECTIONS),
+        "one push of an outline that was seen": (ours, Load("/v1/predict", one.encode(), _JSON), CONNECTIONS),
+        "one push of an outline that is new": (ours, Load("/v1/predict", one.encode(), _JSON), CONNECTIONS),
         "1,000 pushes by descriptor": (ours, batch_loads()["JSON"], 2),
-        "1,000 pushes of one outline": (ours, Load("/v1/predict/batch", batch.encode(), kind), 2),
+        "1,000 pushes of one outline": (ours, Load("/v1/predict/batch", batch.encode(), _JSON), 2),
     }
     scripts = {name: load.script(folder, f"shape{number}") for number, (name, (_, load, _)) in enumerate(loads.items())}
     new = scripts["one push of an outline that is new"]
@@ -190,19 +191,34 @@ def _ratio(figures: list[WrkFigures], others: list[WrkFigures]) -> float:
     return statistics.median(one.requests_per_s / other.requests_per_s for one, other in pairs)
 
 
-def during_images(ours: Server, folder: Path, rounds: int, seconds: int) -> None:
-    """Measure single pushes on one connection, idle and while two other connections upload photographs."""
-    push = Load("/v1/predict", PUSH, {"Content-Type": "application/json"}).script(folder, "push")
-    load = image_load()
-    upload = wrk_command(load.script(folder, "image"), f"http://127.0.0.1:{ours.port}{load.path}", 2, seconds + 1)
-    runs: dict[str, list[WrkFigures]] = {"idle": [], "while images are decoded": []}
+def rollout_load() -> Load:
+    """Return a request for 40 candidate sequences of five pushes of an outline, with 64 particles each."""
+    push = {"x": 0.3, "y": 0.1, "angle": 0.0, "length": 0.05}
+    sequences = [[{**push, "y": 0.06 + 0.002 * number}] * 5 for number in range(40)]
+    body = {"context": {"outline": outline()}, "object_pose": {"x": 0.4, "y": 0.1, "angle": 0.0}}
+    return Load("/v1/rollout", json.dumps(body | {"sequences": sequences, "particles": 64}).encode(), _JSON)
+
+
+BESIDE: Final[dict[str, tuple[str, Callable[[], Load]]]] = {
+    "images": ("while photographs are decoded", image_load),
+    "rollouts": ("while sequences are rolled out", rollout_load),
+}
+
+
+def pushes_beside(ours: Server, part: str, folder: Path, rounds: int, seconds: int) -> None:
+    """Measure single pushes on one connection, idle and while two other connections ask for longer work."""
+    push = Load("/v1/predict", PUSH, _JSON).script(folder, "push")
+    words, make = BESIDE[part]
+    load = make()
+    others = wrk_command(load.script(folder, part), f"http://127.0.0.1:{ours.port}{load.path}", 2, seconds + 1)
+    runs: dict[str, list[WrkFigures]] = {"idle": [], words: []}
     for _ in range(rounds):
         runs["idle"].append(run_wrk(ours, push, "/v1/predict", 1, seconds))
-        uploading = subprocess.Popen(upload, stdout=subprocess.DEVNULL)
+        asking = subprocess.Popen(others, stdout=subprocess.DEVNULL)
         time.sleep(0.5)
-        runs["while images are decoded"].append(run_wrk(ours, push, "/v1/predict", 1, seconds))
-        uploading.wait()
-    print("\n## Single pushes while images are decoded, 1 connection\n")
+        runs[words].append(run_wrk(ours, push, "/v1/predict", 1, seconds))
+        asking.wait()
+    print(f"\n## Single pushes {words}, 1 connection\n")
     print("| | p50 (ms) | p99 (ms) | of the rounds |\n|---|---|---|---|")
     for name, figures in runs.items():
         tails = sorted(run.p99_us / 1e3 for run in figures)
@@ -265,8 +281,8 @@ def main() -> None:
             batches(servers["ours"], folder, options.rounds, options.seconds)
         if "shapes" in parts:
             shapes(servers["ours"], servers[EMPTY], folder, options.rounds, options.seconds)
-        if "images" in parts:
-            during_images(servers["ours"], folder, options.rounds, options.seconds)
+        for part in BESIDE.keys() & set(parts):
+            pushes_beside(servers["ours"], part, folder, options.rounds, options.seconds)
     if "start" in parts:
         start(options.rounds)
 
