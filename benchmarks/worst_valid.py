@@ -28,6 +28,8 @@ def valid_requests(size: int, pixels: tuple[int, int] = MAX_PIXELS) -> Iterator[
     """Yield each largest valid request, with bodies of up to ``size`` bytes, and pictures of these pixels."""
     for kind, batch in _batches(size):
         yield _request("/v1/predict/batch", kind, _JSON, _dumped(batch))
+    for route, kind, question in _questions(size):
+        yield _request(route, kind, _JSON, _dumped(question))
     for mode, file in _pictures(pixels):
         if 4 * len(file) // 3 > size - 1000:
             continue
@@ -68,6 +70,20 @@ def _batches(size: int) -> Iterator[tuple[str, dict[str, Any]]]:
     levels = [[0.12345678] * 32] * 32
     count = min(470, (size - 1000) // 12_000)
     yield f"{count} visual contexts as numbers", {"pushers": [_ROW] * count, "contexts": [{"visual": levels}] * count}
+
+
+def _questions(size: int) -> Iterator[tuple[str, str, dict[str, Any]]]:
+    """Yield the largest questions about several pushes of one object: route, kind and document."""
+    push = {"x": -0.1, "y": 0.01234567, "angle": 0.12345678901234567, "length": 0.05}
+    question = {"object_pose": {"x": 0.0, "y": 0.0, "angle": 0.0}, "context": _outlines(1, 512)[0]}
+    count = min(PUSHES, (size - 20_000) // 70) // 50
+    for length in (1, 50):
+        sequences = [[push] * length] * (count * 50 // length)
+        yield "/v1/rollout", f"{len(sequences):,} sequences of {length}", question | {"sequences": sequences}
+    returned = {"pushes": [push] * 48, "particles": 1024, "return_particles": True}
+    yield "/v1/rollout", "48 pushes with 1,024 particles each, returned", question | returned
+    around = {"spacing": 0.0026, "angles": [0.01 * number for number in range(64)]}
+    yield "/v1/push-map", "64 angles at 100 places", {"context": question["context"]} | around
 
 
 def _outlines(count: int, corners: int) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from service.pushing.poses import DoubleArray, into_object_frame, wrap_angles
 from service.turns import pause
 
 MOST_STEPS: Final = 50  # pushes of one sequence
-MOST_ROWS: Final = 200_000  # pushes times particles
+MOST_ROWS: Final = 100_000  # pushes times particles
 
 
 @dataclass(frozen=True, eq=False, slots=True)
