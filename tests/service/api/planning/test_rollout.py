@@ -87,7 +87,7 @@ def test_an_angle_in_degrees_is_told_about_every_push(shipped: TestClient) -> No
         ({"sequences": []}, "body.sequences"),
         ({"sequences": [[PUSH] * 50] * 201}, "body.sequences"),
         ({"sequences": [[PUSH] * 50] * 200, "particles": MOST_ROWS // 10_000 + 1}, "body.particles"),
-        ({"sequences": [[PUSH] * 50] * 3, "particles": 1000, "return_particles": True}, "body.return_particles"),
+        ({"sequences": [[PUSH] * 50] * 3, "particles": 400, "return_particles": True}, "body.return_particles"),
         ({"pushes": [PUSH, {**PUSH, "x": 20.0}]}, "body.pushes.1"),
         ({"sequences": [[PUSH], [PUSH, {**PUSH, "y": -20.0}]]}, "body.sequences.1.1"),
         ({"pushes": [PUSH, {**PUSH, "length": 0.02}], "context": {"descriptor": "1a2b3c4a"}}, "body.pushes.1.length"),
