@@ -29,6 +29,7 @@ from tests.valid_bodies import (
     make_image_valid,
     make_inference_valid,
     make_map_valid,
+    make_plan_valid,
     make_push_valid,
     make_rollout_valid,
     make_upload_valid,
@@ -59,6 +60,7 @@ MAKE_VALID: dict[str, Callable[[dict[str, Any]], None]] = {
     "/v1/contexts": make_image_valid,
     "/v1/rollout": make_rollout_valid,
     "/v1/push-map": make_map_valid,
+    "/v1/plan": make_plan_valid,
     "/v2/models/{name}/infer": make_inference_valid,
     "/v2/models/{name}/versions/{version}/infer": make_inference_valid,
 }

@@ -128,6 +128,26 @@ def make_map_valid(body: Json) -> None:
         body.pop("length", None)
 
 
+def make_plan_valid(body: Json) -> None:
+    """Give a plan an object of known outline, simple polygons, and a short time."""
+    kind = make_context_valid(body["context"])
+    if kind == "visual":
+        body["context"], kind = {"outline": _star(repr(body))}, "shape"
+    _choose_model(kind, body)
+    if kind != "shape":
+        body.pop("lengths", None)
+    pose = [min(max(body["object_pose"][name], 10.0 - WORLD_M), WORLD_M - 10.0) for name in ("x", "y")]
+    if body.get("workspace") is not None:
+        body["workspace"] = [[20.0 * x + pose[0], 20.0 * y + pose[1]] for x, y in _star(repr(body["workspace"]))]
+    if body.get("obstacles"):
+        stars = [_star(repr((number, obstacle))) for number, obstacle in enumerate(body["obstacles"][:5])]
+        body["obstacles"] = [
+            [[x + pose[0] + 0.2 * number, y + pose[1] + 0.2] for x, y in star] for number, star in enumerate(stars)
+        ]
+    body["time_s"] = 0.05
+    body |= {name: int(body[name]) for name in ("seed", "max_pushes") if name in body}  # strict, unlike a schema
+
+
 def _sequence(pushes: list[Json], kind: str, body: Json) -> list[Json]:
     """Return pushes near the object, with the length that its model knows."""
     pose, found = body["object_pose"], []

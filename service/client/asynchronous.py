@@ -10,12 +10,13 @@ from typing import Self, TypeVar, Unpack
 import httpx2
 import numpy.typing as npt
 
-from service.client import calls, planning_calls
+from service.client import calls, plan_calls, planning_calls
 from service.client.arguments import Context, Details, Image, ScaledDetails
 from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, ClientBase, add_part
 from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
+from service.client.plan_calls import Plan
 from service.client.planning_calls import PushMap, Region, Rollout
 from service.client.retries import Retries, retry_after_s
 from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
@@ -154,6 +155,42 @@ class AsyncClient(ClientBase):
     ) -> PushMap:
         """See ``Client.push_map``."""
         return await self._send(planning_calls.push_map(context, spacing, angles, length, model))
+
+    async def plan(
+        self,
+        context: Context,
+        object_pose: npt.ArrayLike,
+        goal: npt.ArrayLike,
+        *,
+        position_tolerance: float = 0.01,
+        angle_tolerance: float = 0.17,
+        max_pushes: int = 10,
+        lengths: npt.ArrayLike | None = None,
+        workspace: npt.ArrayLike | None = None,
+        obstacles: Sequence[npt.ArrayLike] = (),
+        clearance: float | None = None,
+        time_s: float | None = None,
+        seed: int = 0,
+        model: str | None = None,
+    ) -> Plan:
+        """See ``Client.plan``."""
+        return await self._send(
+            plan_calls.plan(
+                context,
+                object_pose,
+                goal,
+                position_tolerance,
+                angle_tolerance,
+                max_pushes,
+                lengths,
+                workspace,
+                obstacles,
+                clearance,
+                time_s,
+                seed,
+                model,
+            )
+        )
 
     async def list_models(self) -> ModelsBody:
         """See ``Client.list_models``."""

@@ -6,10 +6,11 @@ from typing import TypeVar
 
 import numpy.typing as npt
 
-from service.client import planning_calls
+from service.client import plan_calls, planning_calls
 from service.client.arguments import Context
 from service.client.base import ClientBase
 from service.client.calls import Call
+from service.client.plan_calls import Plan
 from service.client.planning_calls import PushMap, Region, Rollout
 
 T = TypeVar("T")
@@ -87,3 +88,55 @@ class BlockingPlanning(ClientBase):
             model: as in ``predict``.
         """
         return self._send(planning_calls.push_map(context, spacing, angles, length, model))
+
+    def plan(
+        self,
+        context: Context,
+        object_pose: npt.ArrayLike,
+        goal: npt.ArrayLike,
+        *,
+        position_tolerance: float = 0.01,
+        angle_tolerance: float = 0.17,
+        max_pushes: int = 10,
+        lengths: npt.ArrayLike | None = None,
+        workspace: npt.ArrayLike | None = None,
+        obstacles: Sequence[npt.ArrayLike] = (),
+        clearance: float | None = None,
+        time_s: float | None = None,
+        seed: int = 0,
+        model: str | None = None,
+    ) -> Plan:
+        """Plan pushes that bring an object of known outline from a pose to a goal, in the world.
+
+        Args:
+            context: an outline, the result of ``find_outline``, or a descriptor.
+            object_pose: (3,) pose of the object now.
+            goal: (3,) pose to bring it to.
+            position_tolerance: distance from the goal that is near enough, in m.
+            angle_tolerance: turn from the goal that is small enough, in rad.
+            max_pushes: most pushes of the plan, up to 20.
+            lengths: that a push may have, in m. None: 0.02, 0.05 and 0.1, or 0.05 for models that know no other.
+            workspace: (n, 2) corners of the polygon that object and tip stay in.
+            obstacles: (n, 2) corners of each polygon that neither of them touches.
+            clearance: that both keep, in m. None: 0.005.
+            time_s: time budget of the search. None: 0.3.
+            seed: of the random numbers of the probabilities.
+            model: as in ``predict``.
+        """
+        return self._send(
+            plan_calls.plan(
+                context,
+                object_pose,
+                goal,
+                position_tolerance,
+                angle_tolerance,
+                max_pushes,
+                lengths,
+                workspace,
+                obstacles,
+                clearance,
+                time_s,
+                seed,
+                model,
+            )
+        )

@@ -18,7 +18,7 @@ from service.client.calls import MAX_ANSWER_BYTES, Call, Numbers, answer_array, 
 from service.client.errors import ProblemError, UnreadableAnswerError
 from service.schemas.models import ModelVersionBody
 from service.schemas.planning.push_maps import PushMapResponse
-from service.schemas.planning.rollouts import MOST_RETURNED, RolloutResponse, RolloutsResponse, SequenceBody
+from service.schemas.planning.rollouts import MOST_RETURNED, RolloutResponse, RolloutsResponse, SequenceBody, StepBody
 from service.schemas.predictions import BatchWarningBody
 from service.schemas.rows import MAX_PUSHES
 
@@ -199,14 +199,15 @@ def push_documents(pushes: npt.ArrayLike, where: str) -> list[dict[str, float]]:
     return [dict(zip(("x", "y", "angle", "length"), row, strict=False)) for row in rows.tolist()]
 
 
-def read_steps(body: SequenceBody, count: int) -> Steps:
+def read_steps(steps: Sequence[StepBody], count: int) -> Steps:
     """Return the steps of a sequence of ``count`` pushes as arrays.
 
     Raises:
         UnreadableAnswerError: there are more or fewer, or an array has another shape.
     """
-    steps = body.steps
     shares = [[step.miss_probability, step.inside_probability, step.unfamiliar_probability] for step in steps]
+    if not count:
+        return Steps(np.zeros((0, 3)), np.zeros((0, 3, 3)), *np.zeros((3, 0)))
     found = answer_array(shares, (count, 3), np.float64)
     return Steps(
         answer_array([[step.mean.x, step.mean.y, step.mean.angle] for step in steps], (count, 3), np.float64),
@@ -253,5 +254,5 @@ def _rollout(
         width = len(particles[0]) if particles else 0
         returned = answer_array(particles, (count, width, POSE_PARTS), np.float64)
     return Rollout(
-        model, read_steps(body, count), body.region_probability, None if particles is None else returned, warnings
+        model, read_steps(body.steps, count), body.region_probability, None if particles is None else returned, warnings
     )

@@ -2,7 +2,11 @@
 
 ``push_model`` is the protocol of a model of one object, which may be a served model, mechanics or a simulator.
 ``particles`` are poses of the object that pushes move, with their moments. ``rollout`` predicts sequences of pushes
-with them, and ``push_map`` pushes from all around an outline. The service, the client in process and the benchmarks
-call the same functions. Calls point downward: this package imports ``service.pushing``, ``service.model``,
-``service.turns`` and ``service.errors``.
+with them, and ``push_map`` pushes from all around an outline.
+
+``plan`` searches pushes that bring the object to a goal: ``candidates`` are pushes around its outline, ``search``
+composes their motions, and ``paths`` are checked against the ``surroundings``, workspace and obstacles.
+
+The service, the client in process and the benchmarks call the same functions. Calls point downward: this package
+imports ``service.pushing``, ``service.model``, ``service.turns`` and ``service.errors``.
 """

@@ -50,18 +50,28 @@ class Outline:
     """(n, 2) m, counter-clockwise, without a repeated last corner."""
 
     @classmethod
-    def of(cls, corners: npt.ArrayLike, where: str = "outline") -> Self:
+    def of(
+        cls,
+        corners: npt.ArrayLike,
+        where: str = "outline",
+        extents_m: tuple[float, float] = (SMALLEST_EXTENT_M, LARGEST_EXTENT_M),
+    ) -> Self:
         """Create an outline from corners (n, 2) in metres, clockwise or counter-clockwise.
+
+        Args:
+            corners: of the polygon.
+            where: field that has them, for errors.
+            extents_m: least and largest distance of its two most distant corners.
 
         Raises:
             InvalidRequestError: there are fewer than 3 or more than 512 corners, a value is not finite, a corner is
-                repeated, edges cross or touch, there is no area, or the extent is under 5 mm or over 2 m. Names the
+                repeated, edges cross or touch, there is no area, or the extent is outside of its limits. Names the
                 field, the corner or the edges, and the cure.
         """
         found = _checked_corners(corners, where)
         distance = _squares(found[:, None, :] - found[None, :, :])
         extent_m = float(np.sqrt(distance.max()))
-        _check_extent(extent_m, where)
+        _check_extent(extent_m, extents_m, where)
         _check_repeats(distance, extent_m, where)
         _check_area(found, where)
         _check_crossings(found, extent_m, where)
@@ -194,10 +204,12 @@ def _checked_corners(corners: npt.ArrayLike, where: str) -> DoubleArray:
     return found
 
 
-def _check_extent(extent_m: float, where: str) -> None:
-    if not SMALLEST_EXTENT_M <= extent_m <= LARGEST_EXTENT_M:
-        unit = "; are these millimetres?" if extent_m > LARGEST_EXTENT_M else ""
-        raise InvalidRequestError.at(where, f"an object of {extent_m:.4g} m across{unit}", "0.005 to 2 m, in metres")
+def _check_extent(extent_m: float, extents_m: tuple[float, float], where: str) -> None:
+    least_m, most_m = extents_m
+    if not least_m <= extent_m <= most_m:
+        unit = "; are these millimetres?" if extent_m > most_m else ""
+        received = f"an object of {extent_m:.4g} m across{unit}"
+        raise InvalidRequestError.at(where, received, f"{least_m:g} to {most_m:g} m, in metres")
 
 
 def _check_repeats(distance: DoubleArray, extent_m: float, where: str) -> None:

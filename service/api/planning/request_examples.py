@@ -3,6 +3,7 @@
 from typing import Final
 
 from service.api.v1.request_examples import json_examples
+from service.schemas.planning.plans import GOAL_EXAMPLE, OBSTACLE_EXAMPLE, WORKSPACE_EXAMPLE
 from service.schemas.planning.rollouts import POSE_EXAMPLE, PUSH_EXAMPLE, REGION_EXAMPLE
 from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
 
@@ -43,5 +44,29 @@ AROUND: Final = json_examples(
             "length": 0.02,
         },
         "an object by its descriptor": {"context": {"descriptor": "1a2b3c4a"}, "angles": [0.0]},
+    }
+)
+GOALS: Final = json_examples(
+    {
+        "a box to a goal": {"context": _BOX, "object_pose": POSE_EXAMPLE, "goal": GOAL_EXAMPLE},
+        "an L around an obstacle, within a workspace": {
+            "context": {"outline": L_EXAMPLE},
+            "object_pose": POSE_EXAMPLE,
+            "goal": {"x": 0.65, "y": 0.2, "angle": 1.0},
+            "position_tolerance": 0.02,
+            "angle_tolerance": 0.3,
+            "max_pushes": 8,
+            "lengths": [0.03, 0.1],
+            "workspace": WORKSPACE_EXAMPLE,
+            "obstacles": [OBSTACLE_EXAMPLE],
+            "clearance": 0.005,
+            "time_s": 0.3,
+            "seed": 7,
+        },
+        "an object by its descriptor": {
+            "context": {"descriptor": "1a2b3c4a"},
+            "object_pose": POSE_EXAMPLE,
+            "goal": {"x": 0.45, "y": 0.1, "angle": 0.0},
+        },
     }
 )

@@ -4,8 +4,9 @@ from fastapi import APIRouter
 
 from service.api.endpoint_route import EndpointRoute
 from service.api.openapi import problems
-from service.api.planning.request_examples import AROUND, SEQUENCES
+from service.api.planning.request_examples import AROUND, GOALS, SEQUENCES
 from service.api.v1.routes import PREDICTED
+from service.schemas.planning.plans import PlanRequest, PlanResponse
 from service.schemas.planning.push_maps import PushMapRequest, PushMapResponse
 from service.schemas.planning.rollouts import RolloutRequest, RolloutResponse, RolloutsResponse
 from service.schemas.problems import ProblemBody
@@ -36,4 +37,19 @@ async def map_pushes(body: PushMapRequest) -> None:
     """Predict pushes from all around the outline of an object, in its frame: made to be drawn.
 
     Tips start just outside of the outline and head inwards. Places where the tip does not fit are left out.
+    """
+
+
+@planning.post(
+    "/v1/plan",
+    summary="Plan pushes to a goal",
+    response_model=PlanResponse,
+    openapi_extra=GOALS,
+)
+async def plan_pushes(body: PlanRequest) -> None:
+    """Plan pushes that bring an object of known outline from a pose to a goal, in the world, or say why there are none.
+
+    Neither object nor tip touches an obstacle or leaves the workspace, by predicted means. The tip comes down from
+    above where a push starts, clear of the object, and is lifted at its end, so ways between pushes are not checked.
+    Make the first push, look where the object is, and ask again.
     """

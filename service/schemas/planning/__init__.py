@@ -1,5 +1,6 @@
 """Schemas of planning: the JSON bodies of questions about several pushes of one object, and of their answers.
 
-``rollouts`` has sequences of pushes, and the object's pose after each of them, and ``push_maps`` pushes from all around
-it. Calls point downward: this package imports ``service.schemas`` and the packages below it.
+``rollouts`` has sequences of pushes, and the object's pose after each of them, ``push_maps`` pushes from all around it,
+and ``plans`` pushes to a goal. Calls point downward: this package imports ``service.schemas`` and the packages below
+it.
 """

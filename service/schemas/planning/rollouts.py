@@ -25,7 +25,7 @@ POSE_EXAMPLE: Final = {"x": 0.4, "y": 0.1, "angle": 0.0}
 PUSH_EXAMPLE: Final = {"x": 0.32, "y": 0.1, "angle": 0.0, "length": 0.05}
 REGION_EXAMPLE: Final = {"x": 0.45, "y": 0.12, "angle": 0.2, "position_tolerance": 0.02, "angle_tolerance": 0.3}
 _COVARIANCE_EXAMPLE: Final = [[4e-6, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 4e-4]]
-_STEP_EXAMPLE: Final = {
+STEP_EXAMPLE: Final = {
     "mean": {"x": 0.43, "y": 0.1, "angle": 0.0},
     "covariance": _COVARIANCE_EXAMPLE,
     "miss_probability": 0.0,
@@ -198,7 +198,7 @@ class StepBody(Body):
 
 Steps = Annotated[
     list[StepBody],
-    Field(description="after each push, in the world", fail_fast=True, examples=[[_STEP_EXAMPLE]]),
+    Field(description="after each push, in the world", fail_fast=True, examples=[[STEP_EXAMPLE]]),
 ]
 Probability = Annotated[
     Share | None, Field(description="probability that the object ends in the region, if one was sent", examples=[0.93])
@@ -236,7 +236,7 @@ class RolloutsResponse(Body):
     sequences: Annotated[
         list[SequenceBody],
         Field(
-            fail_fast=True, description="one for each sequence of the request", examples=[[{"steps": [_STEP_EXAMPLE]}]]
+            fail_fast=True, description="one for each sequence of the request", examples=[[{"steps": [STEP_EXAMPLE]}]]
         ),
     ]
     warnings: Annotated[

@@ -18,6 +18,7 @@ from service.errors import ModelNotReadyError, RegistryError
 from tests.running_service import PATIENCE_S, serve
 
 PUSHER = {"x": -0.075, "y": 0.003, "angle": 0.1}
+AHEAD = {"x": -0.04, "y": 0.01, "angle": 0.1}
 CONTEXT = {"descriptor": "1a2b3c4a"}
 POSES = np.random.default_rng(0).uniform(-0.1, 0.1, (500, 3)).tolist()
 GREY = [[0.5] * 32] * 32
@@ -63,6 +64,7 @@ GOOD = {
     ),
     "a rollout": ("/v1/rollout", {"context": CONTEXT, "object_pose": PUSHER, "pushes": [PUSHER, PUSHER]}),
     "a push map": ("/v1/push-map", {"context": CONTEXT}),
+    "a plan": ("/v1/plan", {"context": CONTEXT, "object_pose": PUSHER, "goal": AHEAD, "time_s": 2.0}),
 }
 BAD = {
     "no JSON": ("/v1/predict", b"{"),
@@ -78,6 +80,7 @@ BAD = {
     "too many": ("/v1/predict/batch", {"pushers": [[0.0, 0.0, 0.0]] * 10_001, "contexts": [CONTEXT]}),
     "a rollout without pushes": ("/v1/rollout", {"object_pose": PUSHER}),
     "a push map of a view": ("/v1/push-map", {"context": {"visual": GREY}}),
+    "a plan without a goal": ("/v1/plan", {"context": CONTEXT, "object_pose": PUSHER}),
     "contexts that do not fit": ("/v1/predict/batch", {"pushers": POSES, "contexts": [CONTEXT] * 2}),
 }
 

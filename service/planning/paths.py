@@ -1,0 +1,137 @@
+"""Paths of planned pushes: which pushes keep object and tip clear of what surrounds them.
+
+An object moves from pose to pose, and a tip along its straight travel. Both are sampled so densely, along the outline
+and along the way, that no place between two samples is further than the clearance from the nearest one. So a path whose
+samples keep the clearance touches nothing between them. Poses between two pushes are taken to be even steps.
+
+The tip comes down from above at the start of a push and is lifted at its end, so ways between pushes are not checked.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from service.planning.surroundings import Surroundings
+from service.pushing.outlines import Outline
+from service.pushing.poses import DoubleArray, into_object_frame, wrap_angles
+from service.turns import pause
+
+Rows = npt.NDArray[np.bool_]
+MOST_POINTS: Final = 256  # of an outline
+MOST_STEPS: Final = 64  # of a path
+_POINTS_AT_ONCE: Final = 1 << 14
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Checks of the paths of one object and the tip that pushes it.
+
+    Attributes:
+        surroundings: in the world.
+        outline: of the object, in its frame.
+        radius_m: of the tip.
+        longest_m: length of the longest push.
+        clearance_m: that object and tip keep.
+    """
+
+    surroundings: Surroundings
+    outline: Outline
+    radius_m: float
+    longest_m: float
+    clearance_m: float
+
+    @cached_property
+    def kept_m(self) -> float:
+        """Return the distance between samples, which they keep: the clearance, or more for few samples."""
+        edges = self.outline.edges
+        perimeter_m = float(np.hypot(edges[:, 0], edges[:, 1]).sum())
+        return max(self.clearance_m, perimeter_m / MOST_POINTS, self.longest_m / MOST_STEPS)
+
+    @cached_property
+    def _points(self) -> DoubleArray:
+        """Return points (n, 2) along the outline."""
+        edges = self.outline.edges
+        lengths = np.hypot(edges[:, 0], edges[:, 1])
+        parts = []
+        for corner, edge, length in zip(self.outline.corners, edges, lengths, strict=True):
+            count = max(1, int(np.ceil(length / self.kept_m)))
+            parts.append(corner + edge * (np.arange(count)[:, None] / count))
+        return np.concatenate(parts)
+
+    @cached_property
+    def _reach_m(self) -> float:
+        """Return the largest distance of the outline from its centroid."""
+        apart = self.outline.corners - self.outline.centroid_m
+        return float(np.hypot(apart[:, 0], apart[:, 1]).max())
+
+    def gap_m(self, pose: DoubleArray) -> float:
+        """Return how far the object at a pose (3,) is from what is forbidden, negative if it overlaps it."""
+        for obstacle in self.surroundings.obstacles:
+            if self.outline.contains(into_object_frame(_poses_at(obstacle.corners[:1]), pose[None])[:, :2])[0]:
+                return -np.inf  # the obstacle is inside of the object, whose edge may be far from it
+        return float(self.surroundings.distance_m(_placed(self._points, pose[None])[0]).min())
+
+    def free(self, before: DoubleArray, after: DoubleArray, pushes: DoubleArray, least_m: float) -> Rows:
+        """Return (n,) true for pushes (n, 4) in the world that move the object between poses (n, 3) and touch nothing.
+
+        Args:
+            before: poses before each push.
+            after: poses after it.
+            pushes: x_m, y_m, angle_rad, length_m of the tip.
+            least_m: distance that samples keep.
+        """
+        found = np.ones(len(pushes), dtype=np.bool_)
+        if self.surroundings.is_empty or not len(pushes):
+            return found
+        travel = np.linspace(0.0, 1.0, self._steps(float(pushes[:, 3].max())))[None, :, None] * pushes[:, None, 3:]
+        ahead = np.stack([np.cos(pushes[:, 2]), np.sin(pushes[:, 2])], axis=1)
+        tips = pushes[:, None, :2] + travel * ahead[:, None, :]
+        found &= (
+            self.surroundings.keeps(tips.reshape(-1, 2), self.radius_m + least_m).reshape(len(found), -1).all(axis=1)
+        )
+        rows = np.flatnonzero(found)
+        if not len(rows):
+            return found
+        change = after[rows] - before[rows]
+        change[:, 2] = wrap_angles(change[:, 2])
+        way = float((np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * self._furthest_m).max())
+        share = np.linspace(0.0, 1.0, self._steps(way))[None, 1:, None]
+        poses = before[rows][:, None, :] + share * change[:, None, :]
+        found[rows] = self._poses_free(poses.reshape(-1, 3), least_m).reshape(len(rows), -1).all(axis=1)
+        return found
+
+    def _steps(self, way_m: float) -> int:
+        return min(MOST_STEPS, int(np.ceil(way_m / self.kept_m))) + 1
+
+    @cached_property
+    def _furthest_m(self) -> float:
+        """Return the largest distance of the outline from the origin of its frame."""
+        return float(np.hypot(self.outline.corners[:, 0], self.outline.corners[:, 1]).max())
+
+    def _poses_free(self, poses: DoubleArray, least_m: float) -> Rows:
+        """Return (n,) true for poses (n, 3) at which the outline is at least that far from what is forbidden."""
+        centres = _placed(self.outline.centroid_m[None], poses)[:, 0]
+        found = self.surroundings.keeps(centres, self._reach_m + least_m)
+        doubtful = np.flatnonzero(~found)
+        together = max(1, _POINTS_AT_ONCE // len(self._points))
+        for first in range(0, len(doubtful), together):
+            rows = doubtful[first : first + together]
+            points = _placed(self._points, poses[rows])
+            found[rows] = self.surroundings.keeps(points.reshape(-1, 2), least_m).reshape(len(rows), -1).all(axis=1)
+            pause()
+        return found
+
+
+def _placed(points: DoubleArray, poses: DoubleArray) -> DoubleArray:
+    """Return points (k, 2) of an object at poses (n, 3), as (n, k, 2) in the world."""
+    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    x, y = points.T
+    return np.stack([poses[:, :1] + cos * x - sin * y, poses[:, 1:2] + sin * x + cos * y], axis=-1)
+
+
+def _poses_at(points: DoubleArray) -> DoubleArray:
+    """Return points (n, 2) as poses (n, 3)."""
+    return np.column_stack([points, np.zeros(len(points))])
