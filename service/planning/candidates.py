@@ -96,7 +96,7 @@ class Pusher:
 
     def _pushes(self, parameters: DoubleArray) -> DoubleArray:
         """Return the pushes (n, 4) of parameters (n, 3)."""
-        point, normal = _along(self.outline, parameters[:, 0])
+        point, normal = self.outline.along(parameters[:, 0])
         angle = np.arctan2(normal[:, 1], normal[:, 0]) + parameters[:, 1]
         travel = parameters[:, 2]
         fits = np.searchsorted(self.lengths_m, travel + LEAST_GAP_M * (1.0 - _ROUNDING))
@@ -104,15 +104,3 @@ class Pusher:
         ahead = np.stack([np.cos(angle), np.sin(angle)], axis=1)
         start = point - self.radius_m * normal - (length - travel)[:, None] * ahead
         return np.column_stack([start, wrap_angles(angle), length])
-
-
-def _along(outline: Outline, shares: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
-    """Return points (n, 2) and inward normals (n, 2) at shares (n,) of the way around an outline."""
-    edges = outline.edges
-    lengths = np.hypot(edges[:, 0], edges[:, 1])
-    ends = np.cumsum(lengths)
-    place = (shares % 1.0) * ends[-1]
-    edge = np.minimum(np.searchsorted(ends, place, side="right"), len(edges) - 1)
-    unit = edges[edge] / lengths[edge, None]
-    point = outline.corners[edge] + unit * (place - ends[edge] + lengths[edge])[:, None]
-    return point, np.stack([-unit[:, 1], unit[:, 0]], axis=1)

@@ -46,9 +46,7 @@ class Paths:
     @cached_property
     def kept_m(self) -> float:
         """Return the distance between samples, which they keep: the clearance, or more for few samples."""
-        edges = self.outline.edges
-        perimeter_m = float(np.hypot(edges[:, 0], edges[:, 1]).sum())
-        return max(self.clearance_m, perimeter_m / MOST_POINTS, self.longest_m / MOST_STEPS)
+        return max(self.clearance_m, self.outline.perimeter_m / MOST_POINTS, self.longest_m / MOST_STEPS)
 
     @cached_property
     def _points(self) -> DoubleArray:

@@ -49,11 +49,6 @@ class PushMap:
     uncertainty_m: DoubleArray
 
 
-def perimeter_m(outline: Outline) -> float:
-    """Return the length of an outline."""
-    return float(np.sqrt((outline.edges**2).sum(axis=1)).sum())
-
-
 def pushes_around(
     outline: Outline, places: int, angles_rad: npt.ArrayLike, length_m: float, pusher_radius_m: float
 ) -> OutlinePushes:
@@ -66,14 +61,7 @@ def pushes_around(
         length_m: length of every push.
         pusher_radius_m: radius of the tip.
     """
-    edges = outline.edges
-    lengths = np.sqrt((edges**2).sum(axis=1))
-    ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    along = (np.arange(places) + 0.5) / places * ends[-1]
-    edge = np.minimum(np.searchsorted(ends, along, side="right") - 1, len(edges) - 1)
-    unit = edges[edge] / lengths[edge, None]
-    points = outline.corners[edge] + unit * (along - ends[edge])[:, None]
-    inward = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+    points, inward = outline.along((np.arange(places) + 0.5) / places)
     starts = points - inward * (pusher_radius_m + GAP_M)
     fits = outline.distance_m(starts) >= pusher_radius_m - _FITS_M
     points, starts, inward = points[fits], starts[fits], inward[fits]

@@ -118,6 +118,20 @@ class Outline:
         """Return the largest distance between two corners."""
         return _extent_m(self.corners)
 
+    @cached_property
+    def perimeter_m(self) -> float:
+        """Return the length of the boundary."""
+        return float(np.sqrt(_squares(self.edges)).sum())
+
+    def along(self, shares: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
+        """Return points (n, 2) and inward normals (n, 2) at shares (n,) of the way around, from the first corner on."""
+        lengths = np.sqrt(_squares(self.edges))
+        ends = np.cumsum(lengths)
+        place = (shares % 1.0) * ends[-1]
+        edge = np.minimum(np.searchsorted(ends, place, side="right"), len(ends) - 1)
+        part = (place - ends[edge]) / lengths[edge] + 1.0
+        return self.corners[edge] + part[:, None] * self.edges[edge], self._inward[edge]
+
     def contains(self, points: DoubleArray) -> npt.NDArray[np.bool_]:
         """Return (n,) true for the points (n, 2) inside. A point on the boundary may count as either."""
         points = np.asarray(points, dtype=np.float64)

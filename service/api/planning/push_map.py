@@ -7,7 +7,7 @@ from service.api.planning.objects import check_length, find_outlined_object
 from service.errors import InvalidRequestError
 from service.inference.query import Answer
 from service.inference.snapshot import Snapshot
-from service.planning.push_map import perimeter_m, push_map, pushes_around
+from service.planning.push_map import push_map, pushes_around
 from service.schemas.planning.push_maps import PushMapRequest
 from service.validity.rollouts import rollout_warnings
 
@@ -22,7 +22,7 @@ def answer_push_map(models: Snapshot, request: PushMapRequest) -> Answer:
     """
     found = find_outlined_object(models, request, request.context)
     check_length(found.model, request.length, "body.length")
-    places = request.places(perimeter_m(found.outline))
+    places = request.places(found.outline.perimeter_m)
     around = pushes_around(found.outline, places, request.angles, request.length, found.pusher_radius_m)
     if not len(around.pushes):
         received = f"{places} places at all of which a tip of radius {found.pusher_radius_m:g} m overlaps the object"

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from service.planning.push_map import GAP_M, perimeter_m, push_map, pushes_around
+from service.planning.push_map import GAP_M, push_map, pushes_around
 from service.planning.push_model import PushOutcomes
 from service.pushing.first_contact import first_contact
 from service.pushing.outlines import Outline
@@ -14,11 +14,6 @@ from service.pushing.poses import DoubleArray
 BOX = Outline.of([[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06, -0.04]])
 U = Outline.of([[-0.05, 0.05], [-0.05, -0.05], [0.05, -0.05], [0.05, 0.05], [0.004, 0.05], [0.004, 0.0], [-0.004, 0.0], [-0.004, 0.05]])  # fmt: skip # noqa: E501
 RADIUS_M = 0.005
-
-
-def test_the_perimeter_is_the_sum_of_the_edges() -> None:
-    """A box of 120 by 80 mm has a perimeter of 400 mm."""
-    assert perimeter_m(BOX) == pytest.approx(0.4)
 
 
 def test_every_push_starts_clear_of_the_outline_and_meets_it_at_once() -> None:

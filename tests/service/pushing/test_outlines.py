@@ -140,3 +140,14 @@ def test_corners_along_a_straight_edge_are_no_fault() -> None:
     """A corner in the middle of an edge, a thin bar and corners far from the origin are accepted."""
     assert Outline.of([*SQUARE[:1], [0.05, 0.0], *SQUARE[1:]]).area_m2 == pytest.approx(0.01)
     assert Outline.of(np.array(SQUARE) * [1.0, 0.01] + 1000.0).area_m2 == pytest.approx(1e-4)
+
+
+def test_points_along_an_outline_are_at_even_distances_with_their_inward_normals() -> None:
+    """Shares of the way around lead from the first corner over every edge, and beyond a whole turn from the start."""
+    box = Outline.of([[0.0, 0.0], [0.3, 0.0], [0.3, 0.1], [0.0, 0.1]])
+    assert box.perimeter_m == pytest.approx(0.8)
+    points, normals = box.along(np.array([0.0, 0.125, 0.4375, 0.5625, 0.9375, 1.125]))
+    assert points == pytest.approx(
+        np.array([[0.0, 0.0], [0.1, 0.0], [0.3, 0.05], [0.25, 0.1], [0.0, 0.05], [0.1, 0.0]])
+    )
+    assert normals == pytest.approx(np.array([[0, 1], [0, 1], [-1, 0], [0, -1], [1, 0], [0, 1]]))
