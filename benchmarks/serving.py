@@ -35,7 +35,7 @@ from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 ROWS = 1000
 CONNECTIONS = 16
 CORNERS = 64
-PARTS = ("singles", "batches", "shapes", "images", "rollouts", "start")
+PARTS = ("singles", "batches", "shapes", "images", "rollouts", "plans", "start")
 EMPTY = "(a) empty FastAPI endpoint, same schemas"
 _JSON: Final = {"Content-Type": "application/json"}
 _VARIED = """
@@ -199,9 +199,18 @@ def rollout_load() -> Load:
     return Load("/v1/rollout", json.dumps(body | {"sequences": sequences, "particles": 64}).encode(), _JSON)
 
 
+def plan_load() -> Load:
+    """Return a request for a plan of an outline around an obstacle."""
+    obstacle = [[0.5, 0.1], [0.55, 0.1], [0.55, 0.2], [0.5, 0.2]]
+    poses = {"object_pose": {"x": 0.4, "y": 0.1, "angle": 0.0}, "goal": {"x": 0.7, "y": 0.2, "angle": 1.0}}
+    body = {"context": {"outline": outline()}, **poses, "obstacles": [obstacle]}
+    return Load("/v1/plan", json.dumps(body).encode(), _JSON)
+
+
 BESIDE: Final[dict[str, tuple[str, Callable[[], Load]]]] = {
     "images": ("while photographs are decoded", image_load),
     "rollouts": ("while sequences are rolled out", rollout_load),
+    "plans": ("while plans are searched", plan_load),
 }
 
 

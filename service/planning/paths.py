@@ -60,7 +60,7 @@ class Paths:
         return np.concatenate(parts)
 
     @cached_property
-    def _reach_m(self) -> float:
+    def reach_m(self) -> float:
         """Return the largest distance of the outline from its centroid."""
         apart = self.outline.corners - self.outline.centroid_m
         return float(np.hypot(apart[:, 0], apart[:, 1]).max())
@@ -72,7 +72,14 @@ class Paths:
                 return -np.inf  # the obstacle is inside of the object, whose edge may be far from it
         return float(self.surroundings.distance_m(_placed(self._points, pose[None])[0]).min())
 
-    def free(self, before: DoubleArray, after: DoubleArray, pushes: DoubleArray, least_m: float) -> Rows:
+    def free(
+        self,
+        before: DoubleArray,
+        after: DoubleArray,
+        pushes: DoubleArray,
+        least_m: float,
+        spread_m: npt.ArrayLike = 0.0,
+    ) -> Rows:
         """Return (n,) true for pushes (n, 4) in the world that move the object between poses (n, 3) and touch nothing.
 
         Args:
@@ -80,6 +87,8 @@ class Paths:
             after: poses after it.
             pushes: x_m, y_m, angle_rad, length_m of the tip.
             least_m: distance that samples keep.
+            spread_m: distance that the object keeps beside that at the end of each push, (n,) or one for all. It
+                grows along the way from none.
         """
         found = np.ones(len(pushes), dtype=np.bool_)
         if self.surroundings.is_empty or not len(pushes):
@@ -96,9 +105,10 @@ class Paths:
         change = after[rows] - before[rows]
         change[:, 2] = wrap_angles(change[:, 2])
         way = float((np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * self._furthest_m).max())
-        share = np.linspace(0.0, 1.0, self._steps(way))[None, 1:, None]
-        poses = before[rows][:, None, :] + share * change[:, None, :]
-        found[rows] = self._poses_free(poses.reshape(-1, 3), least_m).reshape(len(rows), -1).all(axis=1)
+        share = np.linspace(0.0, 1.0, self._steps(way))[1:]
+        poses = before[rows][:, None, :] + share[None, :, None] * change[:, None, :]
+        least = least_m + np.broadcast_to(np.asarray(spread_m), len(pushes))[rows, None] * share
+        found[rows] = self._poses_free(poses.reshape(-1, 3), least.ravel()).reshape(len(rows), -1).all(axis=1)
         return found
 
     def _steps(self, way_m: float) -> int:
@@ -109,16 +119,17 @@ class Paths:
         """Return the largest distance of the outline from the origin of its frame."""
         return float(np.hypot(self.outline.corners[:, 0], self.outline.corners[:, 1]).max())
 
-    def _poses_free(self, poses: DoubleArray, least_m: float) -> Rows:
-        """Return (n,) true for poses (n, 3) at which the outline is at least that far from what is forbidden."""
+    def _poses_free(self, poses: DoubleArray, least_m: DoubleArray) -> Rows:
+        """Return (n,) true for poses (n, 3) at which the outline is at least as far (n,) from what is forbidden."""
         centres = _placed(self.outline.centroid_m[None], poses)[:, 0]
-        found = self.surroundings.keeps(centres, self._reach_m + least_m)
+        found = self.surroundings.keeps(centres, self.reach_m + least_m)
         doubtful = np.flatnonzero(~found)
         together = max(1, _POINTS_AT_ONCE // len(self._points))
         for first in range(0, len(doubtful), together):
             rows = doubtful[first : first + together]
-            points = _placed(self._points, poses[rows])
-            found[rows] = self.surroundings.keeps(points.reshape(-1, 2), least_m).reshape(len(rows), -1).all(axis=1)
+            points = _placed(self._points, poses[rows]).reshape(-1, 2)
+            kept = self.surroundings.keeps(points, np.repeat(least_m[rows], len(self._points)))
+            found[rows] = kept.reshape(len(rows), -1).all(axis=1)
             pause()
         return found
 

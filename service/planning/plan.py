@@ -25,7 +25,7 @@ from service.planning.particles import Region, moved
 from service.planning.paths import Paths
 from service.planning.push_model import PushModel
 from service.planning.rollout import Rollout, rollout
-from service.planning.search import Found, Rows, Search, Sequence, ends_of
+from service.planning.search import Found, IsFree, Rows, Search, Sequence, ends_of
 from service.planning.surroundings import Surroundings, Wave
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
@@ -33,6 +33,7 @@ from service.pushing.poses import DoubleArray
 MOST_PUSHES: Final = 20
 CLEARANCE_M: Final = 0.005
 TIME_S: Final = 0.3
+SPREADS: Final = 1.0  # standard deviations of a corner that the first push keeps from obstacles beside the clearance
 LEAST_TIME_S, MOST_TIME_S = 0.05, 2.0
 ROWS_PER_S: Final = 8_000  # predictions for each second of the budget, which take less than half of it on an idle core
 _SHARE: Final = 0.4  # of the predictions: candidates. The others are particles.
@@ -152,7 +153,7 @@ class _Planner:
         candidates = self._pusher.candidates(self._pusher.spread(self._candidates), self._is_over)
         if not len(candidates.motions):
             return self._none(Reason.NO_CANDIDATES, "no push of these lengths starts clear of the object and moves it")
-        found = self._search(candidates, goal).run(task.start, task.most_pushes)
+        found = self._searched(candidates, goal)
         if found.sequence is None:
             return self._without_sequence(found, candidates)
         return self._answer(found.sequence, found.is_complete, candidates)
@@ -160,11 +161,11 @@ class _Planner:
     def _is_over(self) -> bool:
         return self._clock() >= self._until_s
 
-    def _search(self, candidates: Candidates, goal: DoubleArray) -> Search:
+    def _searched(self, candidates: Candidates, goal: DoubleArray) -> Found:
+        """Search with a sure first push among obstacles, and with any if there is none."""
+        surroundings = self._task.surroundings
         centre = self._pusher.outline.centroid_m
         target = moved(goal, np.append(centre, 0.0))[:2]
-        surroundings = self._task.surroundings
-
         width_m = max(-float(self._pusher.outline.distance_m(centre[None])[0]), 0.0)
         wave = None if surroundings.is_empty else Wave.around(surroundings, target, width_m)
 
@@ -175,11 +176,26 @@ class _Planner:
             straight: DoubleArray = np.hypot(places[:, 0] - target[0], places[:, 1] - target[1])
             return straight
 
-        def is_free(before: DoubleArray, after: DoubleArray, rows: Rows) -> npt.NDArray[np.bool_]:
-            """Return the pushes that touch nothing, see ``search.IsFree``."""
-            return self._paths.free(before, after, placed(candidates.pushes[rows], before), self._least_m)
+        for spreads in (0.0,) if surroundings.is_empty else (SPREADS, 0.0):
+            is_free = self._is_free(candidates, spreads)
+            search = Search(candidates, self._task.goal, centre, remaining_m, is_free, self._is_over, self._width)
+            found = search.run(self._task.start, self._task.most_pushes)
+            if found.sequence is not None or self._is_over():
+                break
+        return found
 
-        return Search(candidates, self._task.goal, centre, remaining_m, is_free, self._is_over, self._width)
+    def _is_free(self, candidates: Candidates, spreads: float) -> IsFree:
+        """Return the check of paths, in which first pushes keep some standard deviations of a corner more."""
+        square = candidates.std**2
+        corner_m = np.sqrt((square[:, 0] + square[:, 1]) / 2.0 + self._paths.reach_m**2 * square[:, 2])
+
+        def is_free(before: DoubleArray, after: DoubleArray, rows: Rows, is_first: bool) -> npt.NDArray[np.bool_]:
+            """Return the pushes that touch nothing, see ``search.IsFree``."""
+            pushes = placed(candidates.pushes[rows], before)
+            spread_m = spreads * corner_m[rows] if is_first else 0.0
+            return self._paths.free(before, after, pushes, self._least_m, spread_m)
+
+        return is_free
 
     def _answer(self, best: Sequence, is_complete: bool, candidates: Candidates) -> Plan:
         task = self._task

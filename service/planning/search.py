@@ -32,8 +32,9 @@ _CHECKED: Final = 64  # paths into the goal that are checked in one step
 _LEAST: Final = 1e-6
 
 Rows = npt.NDArray[np.int64]
-IsFree = Callable[[DoubleArray, DoubleArray, Rows], npt.NDArray[np.bool_]]
-"""Function of poses (n, 3) before and after pushes, and their candidates (n,): true (n,) if nothing is touched."""
+IsFree = Callable[[DoubleArray, DoubleArray, Rows, bool], npt.NDArray[np.bool_]]
+"""Function of poses (n, 3) before and after pushes, their candidates (n,), and whether they are the first of their
+sequences: true (n,) if nothing is touched."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -172,7 +173,7 @@ class Search:
         inside *= _inside(ends.turn[near], variance[:, 1], goal.angle_tolerance_rad)
         cost = depth + FAILURE * (1.0 - inside)
         order = np.argsort(cost, kind="stable")[:_CHECKED]
-        free = self.is_free(beam.poses[pose[order]], ends.poses(near[order]), last[order])
+        free = self.is_free(beam.poses[pose[order]], ends.poses(near[order]), last[order], depth == 1)
         if not free.any():
             return None
         row = int(order[free][0])
@@ -194,10 +195,11 @@ class Search:
         first[np.unique(number, return_index=True)[1]] = True
         near = np.concatenate([near[first], near[~first]])
         chosen: list[Rows] = []
+        is_first = beam.rows.shape[1] == 0
         for begin in range(0, len(near), self.width):  # paths are checked until the beam is full
             part = near[begin : begin + self.width]
             pose, last = np.divmod(part, len(motions))
-            chosen.append(part[self.is_free(beam.poses[pose], ends.poses(part), last)])
+            chosen.append(part[self.is_free(beam.poses[pose], ends.poses(part), last, is_first)])
             if sum(map(len, chosen)) >= self.width:
                 break
             pause()

@@ -58,14 +58,15 @@ class Surroundings:
             pause()
         return found
 
-    def keeps(self, points: DoubleArray, least_m: float) -> npt.NDArray[np.bool_]:
-        """Return (n,) true for the points (n, 2) that are at least that far from what is forbidden."""
+    def keeps(self, points: DoubleArray, least_m: npt.ArrayLike) -> npt.NDArray[np.bool_]:
+        """Return (n,) true for points (n, 2) at least so far, one for all or (n,), from what is forbidden."""
         if self.is_empty:
             return np.ones(len(points), dtype=np.bool_)
         near, apart = self.grid.nearest(points)
-        kept: npt.NDArray[np.bool_] = near - apart >= least_m
-        doubtful = np.flatnonzero(~kept & (near + apart >= least_m))
-        kept[doubtful] = self.distance_m(points[doubtful]) >= least_m
+        least = np.broadcast_to(np.asarray(least_m, dtype=np.float64), len(points))
+        kept: npt.NDArray[np.bool_] = near - apart >= least
+        doubtful = np.flatnonzero(~kept & (near + apart >= least))
+        kept[doubtful] = self.distance_m(points[doubtful]) >= least[doubtful]
         return kept
 
     @cached_property

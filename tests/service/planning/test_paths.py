@@ -78,3 +78,14 @@ def test_no_pushes_and_no_surroundings_are_free() -> None:
     none = np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 4))
     assert paths().free(*none, 0.0).shape == (0,)
     assert paths(room=None).free(STILL, STILL + 9.0, np.zeros((1, 4)), 0.1).tolist() == [True]
+
+
+def test_what_is_not_known_of_a_push_is_kept_at_its_end() -> None:
+    """The object keeps a spread more where the push ends, half of it in the middle, and none at its start."""
+    found, push = paths(NEEDLE), np.array([[-0.3, -0.3, 0.0, 0.01]])
+    near, far = np.array([[0.03, 0.0, 0.0]]), np.array([[-0.1, 0.0, 0.0]])  # 10 mm before the needle, and away from it
+    for spread_m, expected in ((0.0, True), (0.004, True), (0.006, False)):
+        assert found.free(STILL, near, push, 0.005, spread_m).tolist() == [expected]
+    assert found.free(near, far, push, 0.005, 0.1).tolist() == [True]
+    two = found.free(np.repeat(STILL, 2, 0), np.repeat(near, 2, 0), np.repeat(push, 2, 0), 0.005, np.array([0.0, 0.1]))
+    assert two.tolist() == [True, False]

@@ -9,6 +9,7 @@ import pytest
 from service.planning.particles import Region, moved
 from service.planning.paths import Paths
 from service.planning.plan import Plan, PlanTask, Reason, plan
+from service.planning.push_model import PushOutcomes
 from service.planning.surroundings import Surroundings
 from service.pushing import mechanics
 from service.pushing.poses import DoubleArray, into_object_frame
@@ -81,6 +82,24 @@ def test_neither_object_nor_tip_touches_an_obstacle() -> None:
     assert (np.diff(found.collision_probability) >= 0.0).all()
 
 
+def test_a_first_push_keeps_away_as_far_as_it_is_not_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Into a gap between two blocks a bold planner pushes at once, and ours by a sure first push."""
+
+    class Vague(Mechanics):
+        """Model whose pushes turn by 0.15 rad more or less."""
+
+        def __call__(self, pushes: DoubleArray) -> PushOutcomes:
+            """Predict pushes (n, 4)."""
+            found = super().__call__(pushes)
+            return replace(found, std=np.tile((0.003, 0.003, 0.15), (len(pushes), 1)))
+
+    gap = Surroundings(None, (square(0.05, 0.1, 0.08), square(0.05, -0.1, 0.08)))
+    task = replace(TASK, goal=Region((0.0, 0.0, 0.0), 0.02, 0.5), surroundings=gap)
+    assert planned(task, Vague()).collision_probability[0] < 0.05
+    monkeypatch.setattr("service.planning.plan.SPREADS", 0.0)
+    assert planned(task, Vague()).collision_probability[0] > 0.1
+
+
 def test_at_the_goal_no_push_is_needed() -> None:
     """The plan is empty, sure, and without a reason."""
     found = planned(replace(TASK, goal=Region((-0.1, 0.005, 0.0), 0.01, 0.17)))
@@ -112,7 +131,7 @@ def test_an_object_without_a_push_that_moves_it_has_no_candidates() -> None:
     class Missing(Mechanics):
         """Model of an object that no push touches."""
 
-        def __call__(self, pushes: DoubleArray):  # type: ignore[no-untyped-def]
+        def __call__(self, pushes: DoubleArray) -> PushOutcomes:
             """Miss."""
             found = super().__call__(pushes)
             return replace(found, misses=np.ones(len(pushes), dtype=np.bool_))

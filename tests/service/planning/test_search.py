@@ -41,7 +41,7 @@ def search(
     parts = {
         "centre": np.zeros(2),
         "remaining_m": remaining_m,
-        "is_free": lambda before, after, rows: np.ones(len(rows), dtype=np.bool_),
+        "is_free": lambda before, after, rows, is_first: np.ones(len(rows), dtype=np.bool_),
         "is_over": lambda: False,
     } | given
     return Search(known, goal, **parts).run(np.array(start), most)  # type: ignore[arg-type]
@@ -97,7 +97,7 @@ def test_too_few_pushes_tell_how_near_they_come() -> None:
 def test_pushes_that_touch_something_are_not_used() -> None:
     """With a wall across the way ahead, the sequence goes around it."""
 
-    def is_free(_: DoubleArray, after: DoubleArray, rows: DoubleArray) -> DoubleArray:
+    def is_free(_: DoubleArray, after: DoubleArray, rows: DoubleArray, is_first: bool) -> DoubleArray:
         """Return true outside of a wall about the middle of the straight way."""
         return np.asarray((np.abs(after[:, 0] - 0.05) > 0.01) | (after[:, 1] > 0.04))
 
@@ -107,6 +107,18 @@ def test_pushes_that_touch_something_are_not_used() -> None:
     assert sorted(found.sequence.rows.tolist()) == [0, 0, 1, 2]
     assert found.sequence.rows[0] == 1
     assert search(ways, is_free=lambda *_: np.zeros(len(_[2]), dtype=np.bool_)).sequence is None
+
+
+def test_first_pushes_are_checked_as_such() -> None:
+    """A first push that is not sure enough is replaced, and allowed later."""
+
+    def is_free(_: DoubleArray, after: DoubleArray, rows: DoubleArray, is_first: bool) -> DoubleArray:
+        """Return true for all but the first candidate, if it is the first push."""
+        return np.asarray((rows != 0) | (not is_first))
+
+    found = search(candidates((0.06, 0.0, 0.0), (0.04, 0.0, 0.0)), is_free=is_free)
+    assert found.sequence is not None
+    assert found.sequence.rows.tolist() == [1, 0]
 
 
 def test_a_search_that_is_stopped_says_so() -> None:
