@@ -31,6 +31,7 @@ from tests.valid_bodies import (
     make_map_valid,
     make_plan_valid,
     make_push_valid,
+    make_refine_valid,
     make_rollout_valid,
     make_upload_valid,
     picture,
@@ -61,6 +62,7 @@ MAKE_VALID: dict[str, Callable[[dict[str, Any]], None]] = {
     "/v1/rollout": make_rollout_valid,
     "/v1/push-map": make_map_valid,
     "/v1/plan": make_plan_valid,
+    "/v1/contexts/refine": make_refine_valid,
     "/v2/models/{name}/infer": make_inference_valid,
     "/v2/models/{name}/versions/{version}/infer": make_inference_valid,
 }

@@ -41,8 +41,9 @@ PACKAGES: Mapping[str, frozenset[str]] = {
         "service.api.v1": "service.errors service.turns service.model service.pushing service.silhouettes "
         "service.validity "
         "service.inference service.schemas service.observability service.transport service.api",
-        "service.api.planning": "service.errors service.turns service.pushing service.validity service.planning "
-        "service.inference service.schemas service.schemas.planning service.transport service.api service.api.v1",
+        "service.api.planning": "service.errors service.turns service.model service.pushing service.validity "
+        "service.planning service.inference service.schemas service.schemas.planning service.transport service.api "
+        "service.api.v1",
         "service.api.open_inference": "service.errors service.model service.pushing service.inference service.schemas "
         "service.transport service.api",
         "service.app": "service.errors service.settings service.inference service.schemas service.background "

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from service.api.v1.object_contexts import MAX_IMAGES
+from service.planning.refine import MOST_PUSHES
 from service.pushing.contexts import BITS_PER_SIDE, SHAPE_DIGITS, SIDES, TRIANGULAR
 from service.pushing.poses import REACH_M, WORLD_M
 from service.schemas.shapes import DETAILS, SCALE
@@ -91,6 +92,9 @@ def make_context_valid(context: Json) -> str:
     elif form == "outline":
         context[form] = _star(context[form])
         context.pop("centre_of_mass", None)
+        if context.get("posterior") is not None:
+            context["centre_of_mass"] = context[form][0]
+            context["posterior"]["correlation"] = np.eye(len(context["posterior"]["std"])).tolist()
     elif form == "image" and context.get(SCALE) is not None:
         context[form], context[SCALE] = base64.b64encode(silhouette()).decode(), 0.001
         context.pop("centre_of_mass", None)
@@ -148,6 +152,22 @@ def make_plan_valid(body: Json) -> None:
     body |= {name: int(body[name]) for name in ("seed", "max_pushes") if name in body}  # strict, unlike a schema
 
 
+def make_refine_valid(body: Json) -> None:
+    """Give a refinement an object of any shape, and as many outcomes as pushes."""
+    if make_context_valid(body["context"]) != "shape":
+        body["context"] = {"outline": _star(repr(body["context"]))}
+    del body["pushers"][MOST_PUSHES:]
+    names = "pushers", "lengths", "object_poses", "model"
+    pushes: Json = {name: body.pop(name) for name in names if name in body}
+    pushes["contexts"] = [{"outline": "star"}]
+    make_batch_valid(pushes)
+    del pushes["contexts"]
+    body |= pushes
+    outcomes = body["outcomes"]
+    body["outcomes"] = [outcomes[row % len(outcomes)] for row in range(len(body["pushers"]))]
+    body["seed"] = int(body.get("seed") or 0)
+
+
 def _sequence(pushes: list[Json], kind: str, body: Json) -> list[Json]:
     """Return pushes near the object, with the length that its model knows."""
     pose, found = body["object_pose"], []
@@ -165,7 +185,7 @@ def make_image_valid(body: Json) -> None:
     """
     if SCALE in body:
         body["image"], body[SCALE] = silhouette(), "0.001"
-        for name in ("friction", "pusher_radius"):
+        for name in ("friction", "pusher_radius", "pressure"):
             if name in body:
                 body[name] = json.dumps(body[name])
     elif type(body["image"]) is str:

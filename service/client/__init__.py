@@ -8,12 +8,11 @@
 The distribution is called ``cazsl``. torch is never loaded, and onnxruntime only by ``Client.local``.
 
 ``blocking`` and ``asynchronous`` are the two clients, and ``base`` is their common part. ``blocking_planning`` has the
-methods about several pushes. ``connections`` finds the way
-to the service, ``calls`` builds requests of ``arguments`` and parses answers, ``planning_calls`` and
-``plan_calls`` those about several pushes, ``deadline`` bounds each call in time,
-``retries`` decides on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this process and is
-imported only by ``Client.local``. Calls point downward: the package imports ``service.schemas``, ``service.model`` and
-``service.errors``, and ``local`` also imports the packages that answer a request.
+methods about several pushes. ``connections`` finds the way to the service, ``calls`` builds requests of ``arguments``
+and parses answers, ``planning_calls`` and ``plan_calls`` those about several pushes, ``deadline`` bounds each call in
+time, ``retries`` decides on pauses, and ``errors`` are the exceptions. ``local`` answers requests in this process and
+is imported only by ``Client.local``. Calls point downward: the package imports ``service.schemas``, ``service.model``
+and ``service.errors``, and ``local`` also imports the packages that answer a request.
 """
 
 from service.client.asynchronous import AsyncClient
@@ -27,7 +26,7 @@ from service.client.errors import (
     UnreachableError,
     UnreadableAnswerError,
 )
-from service.client.plan_calls import Plan
+from service.client.plan_calls import Plan, Refinement
 from service.client.planning_calls import PushMap, Region, Rollout, Steps
 from service.client.retries import Retries
 from service.schemas.contexts import ContextBody
@@ -42,6 +41,7 @@ __all__ = [
     "Predictions",
     "ProblemError",
     "PushMap",
+    "Refinement",
     "Region",
     "Retries",
     "Rollout",

@@ -16,7 +16,7 @@ from service.client.base import DEFAULT_URL, IN_PROCESS_URL, ONE_ATTEMPT, Client
 from service.client.calls import Call, Predictions
 from service.client.connections import UNREACHABLE, Connections, connect_from_environment
 from service.client.deadline import ConnectionWatch, Deadline
-from service.client.plan_calls import Plan
+from service.client.plan_calls import Plan, Refinement
 from service.client.planning_calls import PushMap, Region, Rollout
 from service.client.retries import Retries, retry_after_s
 from service.schemas.image_contexts import OutlineContextBody, VisualContextBody
@@ -191,6 +191,20 @@ class AsyncClient(ClientBase):
                 model,
             )
         )
+
+    async def refine(
+        self,
+        context: Context,
+        pushers: npt.ArrayLike,
+        outcomes: npt.ArrayLike,
+        *,
+        lengths: npt.ArrayLike | None = None,
+        object_poses: npt.ArrayLike | None = None,
+        seed: int = 0,
+        model: str | None = None,
+    ) -> Refinement:
+        """See ``Client.refine``."""
+        return await self._send(plan_calls.refine(context, pushers, outcomes, lengths, object_poses, seed, model))
 
     async def list_models(self) -> ModelsBody:
         """See ``Client.list_models``."""

@@ -10,7 +10,7 @@ from service.client import plan_calls, planning_calls
 from service.client.arguments import Context
 from service.client.base import ClientBase
 from service.client.calls import Call
-from service.client.plan_calls import Plan
+from service.client.plan_calls import Plan, Refinement
 from service.client.planning_calls import PushMap, Region, Rollout
 
 T = TypeVar("T")
@@ -140,3 +140,28 @@ class BlockingPlanning(ClientBase):
                 model,
             )
         )
+
+    def refine(
+        self,
+        context: Context,
+        pushers: npt.ArrayLike,
+        outcomes: npt.ArrayLike,
+        *,
+        lengths: npt.ArrayLike | None = None,
+        object_poses: npt.ArrayLike | None = None,
+        seed: int = 0,
+        model: str | None = None,
+    ) -> Refinement:
+        """Learn from 1 to 50 pushes of an object where its weight is, and return its context with that.
+
+        Args:
+            context: an object of any shape, as in ``predict``, or the ``context`` of an earlier answer.
+            pushers: (n, 3) x, y, angle of the pusher in m, m, rad, in the object's frame before that push.
+            outcomes: (n, 3) x, y, angle of the object after each push, in that frame.
+            lengths: length of every push, or (n,), in m. None: 0.05.
+            object_poses: (n, 3) poses of the object in the world before each push. Pushers and outcomes are then in
+                the world.
+            seed: of the random numbers.
+            model: as in ``predict``.
+        """
+        return self._send(plan_calls.refine(context, pushers, outcomes, lengths, object_poses, seed, model))

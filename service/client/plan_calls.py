@@ -1,4 +1,4 @@
-"""Requests and answers of plans: from a pose to a goal, among obstacles, as arrays in the world."""
+"""Requests and answers of plans from a pose to a goal, and of refinements by the outcomes of pushes, as arrays."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,11 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from service.client.arguments import Context, context_document, finite_array, pose_document
+from service.client.arguments import Context, context_document, finite_array, lengths_field, pose_document, pose_rows
 from service.client.calls import Call, Numbers, answer_array, check_warnings, model_field, post
+from service.client.errors import UnreadableAnswerError
 from service.client.planning_calls import Steps, read_steps
+from service.schemas.contexts import ContextBody
 from service.schemas.models import ModelVersionBody
 from service.schemas.planning.plans import PlanResponse, ReasonBody
+from service.schemas.planning.refinements import RefineResponse
 from service.schemas.predictions import BatchWarningBody
 
 _PUSH = 4  # x, y, angle, length
@@ -41,6 +44,23 @@ class Plan:
     replanned_probability: float
     reason: ReasonBody | None
     stopped: bool
+    warnings: tuple[BatchWarningBody, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """Context of an object with what some pushes tell of its body.
+
+    Attributes:
+        model: model and version that answered.
+        context: to be sent as the context of other requests. It has a ``posterior``.
+        outliers: rows of the pushes that no body explains.
+        warnings: reasons not to rely on the context, none if empty. Each has a code, a detail and the rows.
+    """
+
+    model: ModelVersionBody
+    context: ContextBody
+    outliers: tuple[int, ...]
     warnings: tuple[BatchWarningBody, ...]
 
 
@@ -78,6 +98,38 @@ def plan(
     given = {"clearance": clearance, "time_s": time_s}
     document |= {name: value for name, value in given.items() if value is not None}
     return post("/v1/plan", document, _plan)
+
+
+def refine(
+    context: Context,
+    pushers: npt.ArrayLike,
+    outcomes: npt.ArrayLike,
+    lengths: npt.ArrayLike | None,
+    object_poses: npt.ArrayLike | None,
+    seed: int,
+    model: str | None,
+) -> Call[Refinement]:
+    """Build the request for the context of an object that was pushed."""
+    rows = pose_rows(pushers, "pushers")
+    document = {
+        "context": context_document(context),
+        "pushers": rows,
+        "outcomes": pose_rows(outcomes, "outcomes"),
+        "seed": seed,
+        **lengths_field(lengths),
+        **model_field(model),
+    }
+    if object_poses is not None:
+        document["object_poses"] = pose_rows(object_poses, "object_poses")
+
+    def read(content: bytes) -> Refinement:
+        """Return the answer."""
+        body = RefineResponse.model_validate_json(content, extra="ignore")
+        if not all(0 <= row < len(rows) for row in body.outliers):
+            raise UnreadableAnswerError(f"the answer has outliers that are none of the {len(rows)} pushes")
+        return Refinement(body.model, body.context, tuple(body.outliers), check_warnings(body.warnings, len(rows)))
+
+    return post("/v1/contexts/refine", document, read)
 
 
 def _plan(content: bytes) -> Plan:

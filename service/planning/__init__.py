@@ -7,6 +7,9 @@ with them, and ``push_map`` pushes from all around an outline.
 ``plan`` searches pushes that bring the object to a goal: ``candidates`` are pushes around its outline, ``search``
 composes their motions, and ``paths`` are checked against the ``surroundings``, workspace and obstacles.
 
+``refine`` learns from a few pushes about the object's body: it weighs hypotheses of ``bodies``, drawn from
+``mixtures``.
+
 The service, the client in process and the benchmarks call the same functions. Calls point downward: this package
 imports ``service.pushing``, ``service.model``, ``service.turns`` and ``service.errors``.
 """

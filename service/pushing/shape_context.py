@@ -14,7 +14,7 @@ from service.model.tensors import ContextKind, FloatArray
 from service.pushing.mechanics import moment_arm_m
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
-from service.pushing.support import MOST_POINTS, even_support
+from service.pushing.support import EVEN_PRESSURE, MOST_POINTS, Pressure, support
 
 PUSHER_RADIUS_M: Final = 0.00475  # of a tip of unknown radius: that of Omnipush
 FRICTION: Final = 0.20  # of tip and object, if it is not known: least error on recorded pushes of steel shapes
@@ -60,12 +60,14 @@ class ShapeContext:
         centre_of_mass_m: (x, y) in that frame.
         friction: coefficient of friction of pusher and object.
         pusher_radius_m: radius of the round tip.
+        pressure: spread of the weight over the underside, see ``support``.
     """
 
     outline: Outline
     centre_of_mass_m: tuple[float, float] | None = None
     friction: float | None = None
     pusher_radius_m: float | None = None
+    pressure: Pressure | None = None
 
     @property
     def kind(self) -> ContextKind:
@@ -81,16 +83,16 @@ class ShapeContext:
             outline.size_m,
             *centre,
             self.centre_of_mass_m is not None,
-            moment_arm_m(outline, centre),
+            moment_arm_m(outline, centre),  # of even pressure, as in training
             FRICTION if self.friction is None else self.friction,
             self.friction is not None,
             PUSHER_RADIUS_M if self.pusher_radius_m is None else self.pusher_radius_m,
             self.pusher_radius_m is not None,
         ]
-        support = np.zeros((MOST_POINTS, 3), dtype=np.float32)
-        points, shares = even_support(outline, centre)
-        support[: len(points)] = np.column_stack([points, shares])
-        return ShapeTensors(silhouette(outline), _fixed(outline.corners), support, np.array(body, dtype=np.float32))
+        bearing = np.zeros((MOST_POINTS, 3), dtype=np.float32)
+        points, shares = support(outline, centre, self.pressure or EVEN_PRESSURE)
+        bearing[: len(points)] = np.column_stack([points, shares])
+        return ShapeTensors(silhouette(outline), _fixed(outline.corners), bearing, np.array(body, dtype=np.float32))
 
 
 def silhouette(outline: Outline) -> FloatArray:

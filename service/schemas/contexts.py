@@ -15,6 +15,7 @@ from service.pushing.images import decode, visual_context
 from service.pushing.outlines import FEWEST_CORNERS, MOST_CORNERS
 from service.pushing.shape_context import ShapeContext
 from service.schemas.body import at_most
+from service.schemas.posteriors import UNCERTAIN, PosteriorBody
 from service.schemas.shapes import (
     DETAILS,
     OUTLINE_EXAMPLE,
@@ -53,6 +54,7 @@ _VISUAL_SCHEMA: Final[dict[str, Any]] = {  # keywords of texts do not apply to r
 }
 
 
+_POSTERIOR: Final = "posterior"
 _UNKNOWN: Final = (None,) * len(DETAILS)
 _NULL: Final[dict[str, Any]] = {"type": "null"}
 _GIVEN: Final[dict[str, Any]] = {"not": _NULL}
@@ -60,10 +62,11 @@ _GIVEN: Final[dict[str, Any]] = {"not": _NULL}
 
 def _one_form(schema: dict[str, Any]) -> None:
     """Add to the schema that exactly one form is given, with no other details of a shape than the form has."""
-    unknown: dict[str, Any] = dict.fromkeys((*FORMS, *DETAILS), _NULL)
+    unknown: dict[str, Any] = dict.fromkeys((*FORMS, *DETAILS, _POSTERIOR), _NULL)
     rules = [unknown | {form: _GIVEN} for form in FORMS if form != "outline"]
     shape = {name: rule for name, rule in unknown.items() if name not in DETAILS}
     rules += [shape | {"outline": _GIVEN, SCALE: _NULL}, shape | {"image": _GIVEN, SCALE: _GIVEN}]
+    rules.append(shape | {"outline": _GIVEN, SCALE: _NULL} | dict.fromkeys((*UNCERTAIN, _POSTERIOR), _GIVEN))
     schema["oneOf"] = [
         {"required": [name for name, rule in rule_of.items() if rule is _GIVEN], "properties": rule_of}
         for rule_of in rules
@@ -135,6 +138,14 @@ class ContextBody(ShapeDetails):
         BeforeValidator(listed),
         at_most(MOST_CORNERS),
     ] = None
+    posterior: Annotated[
+        PosteriorBody | None,
+        Field(
+            description="how sure centre_of_mass, friction and pressure are, as POST /v1/contexts/refine answers. It "
+            "is the prior if more pushes refine the context. Predictions do not need it.",
+            examples=[None],
+        ),
+    ] = None
 
     @property
     def key(self) -> ContextKey | None:
@@ -142,9 +153,11 @@ class ContextBody(ShapeDetails):
         if self.indicator is not None or self.visual is not None or self.image is not None:
             return None
         if self.outline is None:
-            details = (self.metres_per_pixel, self.centre_of_mass, self.friction, self.pusher_radius)
-            return self.descriptor if details == _UNKNOWN else None
+            details = self.metres_per_pixel, self.centre_of_mass, self.friction, self.pusher_radius, self.pressure
+            return self.descriptor if details == _UNKNOWN and self.posterior is None else None
         if self.descriptor is not None or self.metres_per_pixel is not None:
+            return None
+        if self.posterior is not None and self._lacks_mean():
             return None
         return self.shape_key(self.outline)
 
@@ -197,6 +210,12 @@ class ContextBody(ShapeDetails):
             if getattr(self, name) is not None and not belongs:
                 beside = "an image" if name == SCALE else "an outline, or an image with metres_per_pixel"
                 raise InvalidRequestError.at(f"{where}.{name}", f"a value beside {form}", f"this field beside {beside}")
+        if self.posterior is not None and (form != "outline" or self._lacks_mean()):
+            accepted = f"this field beside an outline with {', '.join(UNCERTAIN)}: its mean"
+            raise InvalidRequestError.at(f"{where}.{_POSTERIOR}", "a value without its mean", accepted)
+
+    def _lacks_mean(self) -> bool:
+        return any(getattr(self, name) is None for name in UNCERTAIN)
 
 
 def _decode_base64(text: str, where: str) -> bytes:

@@ -181,8 +181,8 @@ def _one_or_many(schema: dict[str, Any]) -> None:
 ContextIndex = Annotated[int, Field(json_schema_extra={"minimum": 0, "maximum": MAX_PUSHES - 1})]
 
 
-class BatchRequest(Prediction):
-    """Request for many pushes, of one object or of many, in columns."""
+class PushColumns(Prediction):
+    """Pushes in columns: poses, lengths, and the poses of their objects."""
 
     pushers: Annotated[
         Rows,
@@ -206,28 +206,6 @@ class BatchRequest(Prediction):
         BeforeValidator(_listed),
         at_most(MAX_PUSHES),
     ] = [PUSH_LENGTH_M]  # noqa: RUF012 (pydantic copies it)
-    contexts: Annotated[
-        list[ContextBody] | None,
-        FailFast(),
-        Field(
-            min_length=1,
-            max_length=MAX_PUSHES,
-            description="the objects: one for all pushes, one per push, or several with context_index. Leave them out "
-            "for models without context.",
-            examples=[[{"descriptor": "1a2b3c4a"}], [{"outline": OUTLINE_EXAMPLE}]],
-        ),
-    ] = None
-    context_index: Annotated[
-        list[ContextIndex] | None,
-        FailFast(),
-        Field(
-            min_length=1,
-            max_length=MAX_PUSHES,
-            description="for each push the index of its object in contexts, from 0. Leave it out with one context, or "
-            "with one per push.",
-            examples=[[0, 0]],
-        ),
-    ] = None
     object_poses: Annotated[
         Rows | None,
         Field(
@@ -279,6 +257,33 @@ class BatchRequest(Prediction):
             accepted = f"one number, or {len(self.pushers)}: one per push"
             raise InvalidRequestError.at("body.lengths", f"{len(lengths)} lengths", accepted)
         return lengths
+
+
+class BatchRequest(PushColumns):
+    """Request for many pushes, of one object or of many, in columns."""
+
+    contexts: Annotated[
+        list[ContextBody] | None,
+        FailFast(),
+        Field(
+            min_length=1,
+            max_length=MAX_PUSHES,
+            description="the objects: one for all pushes, one per push, or several with context_index. Leave them out "
+            "for models without context.",
+            examples=[[{"descriptor": "1a2b3c4a"}], [{"outline": OUTLINE_EXAMPLE}]],
+        ),
+    ] = None
+    context_index: Annotated[
+        list[ContextIndex] | None,
+        FailFast(),
+        Field(
+            min_length=1,
+            max_length=MAX_PUSHES,
+            description="for each push the index of its object in contexts, from 0. Leave it out with one context, or "
+            "with one per push.",
+            examples=[[0, 0]],
+        ),
+    ] = None
 
     def context_indices(self) -> IndexArray | None:
         """Return the index of each push's context, (n,), or None if neither contexts nor an index were sent.

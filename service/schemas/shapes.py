@@ -14,14 +14,16 @@ from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode_colour
 from service.pushing.outlines import Outline
 from service.pushing.shape_context import SHAPE_REACH_M, ShapeContext
+from service.pushing.support import MOST_PRESSURE
 from service.schemas.body import Body, at_most
 from service.silhouettes.search import find_outline
 
 OUTLINE_EXAMPLE: Final = [[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06, -0.04]]
 L_EXAMPLE: Final = [[-0.05, -0.05], [0.05, -0.05], [0.05, -0.02], [-0.02, -0.02], [-0.02, 0.05], [-0.05, 0.05]]
 _FINEST_DIGIT: Final = 3  # of a pixel
-ShapeKey = tuple[bytes, tuple[float, ...] | None, float | None, float | None]
-"""Content of a shape: the bytes of its corners, its centre of mass, the friction and the radius of the pusher."""
+_Pressure = Annotated[float, Field(json_schema_extra={"minimum": -MOST_PRESSURE, "maximum": MOST_PRESSURE})]
+ShapeKey = tuple[bytes, tuple[float, ...] | None, float | None, float | None, tuple[float, ...] | None]
+"""Content of a shape: the bytes of its corners, centre of mass, friction, the pusher's radius, and the pressure."""
 
 
 def listed(found: Any) -> Any:
@@ -75,6 +77,21 @@ class ShapeDetails(Body):
             examples=[0.00475],
         ),
     ] = None
+    pressure: Annotated[
+        list[_Pressure] | None,
+        Field(
+            min_length=3,
+            max_length=3,
+            fail_fast=True,
+            description="[xx, xy, yy]: the weight per area of the underside goes with exp(xx x^2 + 2 xy x y + yy y^2), "
+            "x and y from the centroid over the object's size (root mean square distance of its area from there). "
+            "[0, 0, 0] is even, [1, 0, 1] bears more at the rim, [-1, 0, -1] in the middle. Default: unknown, even. "
+            "POST /v1/contexts/refine finds it.",
+            examples=[[0.5, 0.0, 0.5]],
+        ),
+        BeforeValidator(listed),
+        at_most(3),
+    ] = None
 
     def check_without_scale(self, where: str) -> None:
         """Refuse properties of a shape beside an image without its scale.
@@ -91,7 +108,8 @@ class ShapeDetails(Body):
         """Return the shape context of an outline with these details.
 
         Raises:
-            InvalidRequestError: the centre of mass lies outside of the box around the outline.
+            InvalidRequestError: the centre of mass lies outside of the box around the outline, or a number of the
+                pressure is too large.
         """
         centre = self.centre_of_mass
         if centre is not None:
@@ -99,15 +117,23 @@ class ShapeDetails(Body):
             if not ((low <= centre) & (centre <= high)).all():
                 accepted = f"a point of the object, in metres: x {low[0]:g} to {high[0]:g}, y {low[1]:g} to {high[1]:g}"
                 raise InvalidRequestError.at(f"{where}.centre_of_mass", f"[{centre[0]:g}, {centre[1]:g}]", accepted)
+        pressure = self.pressure
+        if pressure is not None and max(map(abs, pressure)) > MOST_PRESSURE:
+            accepted = f"three numbers of -{MOST_PRESSURE:g} to {MOST_PRESSURE:g}"
+            raise InvalidRequestError.at(f"{where}.pressure", f"{max(pressure, key=abs):g}", accepted)
         return ShapeContext(
-            outline, None if centre is None else (centre[0], centre[1]), self.friction, self.pusher_radius
+            outline,
+            None if centre is None else (centre[0], centre[1]),
+            self.friction,
+            self.pusher_radius,
+            None if pressure is None else (pressure[0], pressure[1], pressure[2]),
         )
 
     def shape_key(self, corners: list[list[float]]) -> ShapeKey:
         """Return the content of a shape, by which its tensors can be cached."""
         packed = struct.pack(f"{2 * len(corners)}d", *itertools.chain.from_iterable(corners))
-        centre = None if self.centre_of_mass is None else tuple(self.centre_of_mass)
-        return packed, centre, self.friction, self.pusher_radius
+        centre, pressure = (None if value is None else tuple(value) for value in (self.centre_of_mass, self.pressure))
+        return packed, centre, self.friction, self.pusher_radius, pressure
 
 
 SCALE: Final = "metres_per_pixel"

@@ -5,5 +5,6 @@ that a context describes, from its four sides or from the silhouette in its view
 never touch it or start inside it. ``views`` compares a view with those of Omnipush's objects, and ``omnipush`` says
 whether a context is one of them. ``domains`` has the domain of a version: that of its manifest, or of its training for
 versions that were published without one. ``judging`` puts them together, and ``rollouts`` judges pushes that particles
-meet. Calls point downward: this package imports ``service.pushing`` and ``service.model`` only.
+meet, and ``refinements`` those that tell of an object. Calls point downward: this package imports ``service.pushing``
+and ``service.model`` only.
 """

@@ -23,6 +23,8 @@ class WarningCode(StrEnum):
     IMAGE_OFF_CENTRE = "image_off_centre"
     IMAGE_SEVERAL_OBJECTS = "image_several_objects"
     ANGLE_LOOKS_LIKE_DEGREES = "angle_looks_like_degrees"
+    LITTLE_LEARNT = "little_learnt"
+    MANY_OUTLIERS = "many_outliers"
 
 
 MEANINGS: Final = {
@@ -35,6 +37,8 @@ MEANINGS: Final = {
     WarningCode.IMAGE_OFF_CENTRE: "the object's middle is not the picture's",
     WarningCode.IMAGE_SEVERAL_OBJECTS: "the picture has more than one object",
     WarningCode.ANGLE_LOOKS_LIKE_DEGREES: "an angle is over 2 pi, and angles are in rad",
+    WarningCode.LITTLE_LEARNT: "the pushes of a refinement tell little of the object's body",
+    WarningCode.MANY_OUTLIERS: "no body explains many of the outcomes of a refinement",
 }
 
 

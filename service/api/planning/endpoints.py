@@ -5,6 +5,7 @@ from typing import Any, Final, TypeVar
 
 from service.api.planning.plan import answer_plan
 from service.api.planning.push_map import answer_push_map
+from service.api.planning.refine import answer_refine
 from service.api.planning.rollout import answer_rollout
 from service.api.v1.endpoints import check_json
 from service.inference.query import Answer
@@ -12,6 +13,7 @@ from service.inference.snapshot import Snapshot
 from service.schemas.body import Body, parse_body
 from service.schemas.planning.plans import PlanRequest
 from service.schemas.planning.push_maps import PushMapRequest
+from service.schemas.planning.refinements import RefineRequest
 from service.schemas.planning.rollouts import RolloutRequest
 from service.transport.endpoints import Endpoint, Weight
 
@@ -33,4 +35,5 @@ PLANNING_ENDPOINTS: Final[tuple[Endpoint[Any], ...]] = (
     _endpoint("/v1/rollout", RolloutRequest, answer_rollout),
     _endpoint("/v1/push-map", PushMapRequest, answer_push_map),
     _endpoint("/v1/plan", PlanRequest, answer_plan),
+    _endpoint("/v1/contexts/refine", RefineRequest, answer_refine),
 )

@@ -70,3 +70,20 @@ GOALS: Final = json_examples(
         },
     }
 )
+KNOWN_PUSHES: Final = json_examples(
+    {
+        "three pushes of a box, in its frame": {
+            "context": _BOX,
+            "pushers": [[-0.07, 0.02, 0.0], [0.03, -0.05, 1.5708], [0.07, -0.01, 3.1416]],
+            "lengths": 0.03,
+            "outcomes": [[0.018, -0.001, -0.19], [0.001, 0.022, 0.24], [-0.022, 0.0, -0.11]],
+        },
+        "one push in the world, of an object whose centre of mass is known about": {
+            "context": {"outline": L_EXAMPLE, "centre_of_mass": [-0.01, -0.012], "friction": 0.3},
+            "object_poses": [POSE_EXAMPLE],
+            "pushers": [[0.34, 0.08, 0.0]],
+            "outcomes": [[0.438, 0.1, 0.12]],
+            "seed": 7,
+        },
+    }
+)

@@ -4,10 +4,11 @@ from fastapi import APIRouter
 
 from service.api.endpoint_route import EndpointRoute
 from service.api.openapi import problems
-from service.api.planning.request_examples import AROUND, GOALS, SEQUENCES
+from service.api.planning.request_examples import AROUND, GOALS, KNOWN_PUSHES, SEQUENCES
 from service.api.v1.routes import PREDICTED
 from service.schemas.planning.plans import PlanRequest, PlanResponse
 from service.schemas.planning.push_maps import PushMapRequest, PushMapResponse
+from service.schemas.planning.refinements import RefineRequest, RefineResponse
 from service.schemas.planning.rollouts import RolloutRequest, RolloutResponse, RolloutsResponse
 from service.schemas.problems import ProblemBody
 
@@ -52,4 +53,17 @@ async def plan_pushes(body: PlanRequest) -> None:
     Neither object nor tip touches an obstacle or leaves the workspace, by predicted means. The tip comes down from
     above where a push starts, clear of the object, and is lifted at its end, so ways between pushes are not checked.
     Make the first push, look where the object is, and ask again.
+    """
+
+
+@planning.post(
+    "/v1/contexts/refine",
+    summary="Learn the body of an object from a few pushes",
+    response_model=RefineResponse,
+    openapi_extra=KNOWN_PUSHES,
+)
+async def refine_context(body: RefineRequest) -> None:
+    """Return the context of an object with the centre of mass, friction and pressure that 1 to 50 pushes tell.
+
+    Send it as the context of further requests. Its `posterior` says how sure the values are. Nothing is stored.
     """

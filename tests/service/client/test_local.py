@@ -20,6 +20,7 @@ from tests.running_service import PATIENCE_S, serve
 PUSHER = {"x": -0.075, "y": 0.003, "angle": 0.1}
 AHEAD = {"x": -0.04, "y": 0.01, "angle": 0.1}
 CONTEXT = {"descriptor": "1a2b3c4a"}
+BOX = {"outline": [[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06, -0.04]]}
 POSES = np.random.default_rng(0).uniform(-0.1, 0.1, (500, 3)).tolist()
 GREY = [[0.5] * 32] * 32
 
@@ -65,6 +66,10 @@ GOOD = {
     "a rollout": ("/v1/rollout", {"context": CONTEXT, "object_pose": PUSHER, "pushes": [PUSHER, PUSHER]}),
     "a push map": ("/v1/push-map", {"context": CONTEXT}),
     "a plan": ("/v1/plan", {"context": CONTEXT, "object_pose": PUSHER, "goal": AHEAD, "time_s": 2.0}),
+    "a refinement": (
+        "/v1/contexts/refine",
+        {"context": BOX, "pushers": [[-0.08, 0.02, 0.0], [0.0, 0.07, -1.5]], "outcomes": [[0.02, 0.0, -0.2]] * 2},
+    ),
 }
 BAD = {
     "no JSON": ("/v1/predict", b"{"),
@@ -81,6 +86,10 @@ BAD = {
     "a rollout without pushes": ("/v1/rollout", {"object_pose": PUSHER}),
     "a push map of a view": ("/v1/push-map", {"context": {"visual": GREY}}),
     "a plan without a goal": ("/v1/plan", {"context": CONTEXT, "object_pose": PUSHER}),
+    "a refinement of a view": (
+        "/v1/contexts/refine",
+        {"context": {"visual": GREY}, "pushers": [[-0.1, 0.0, 0.0]], "outcomes": [[0.0, 0.0, 0.0]]},
+    ),
     "contexts that do not fit": ("/v1/predict/batch", {"pushers": POSES, "contexts": [CONTEXT] * 2}),
 }
 

@@ -1,20 +1,23 @@
-"""Requests and answers of plans: array forms, refused arguments, and unreadable answers."""
+"""Requests and answers of plans and refinements: array forms, refused arguments, and unreadable answers."""
 
+import asyncio
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from service.client import plan_calls
+from service.client import AsyncClient, Client, plan_calls
 from service.client.calls import Call
 from service.client.errors import ProblemError, UnreadableAnswerError
-from service.client.plan_calls import Plan
+from service.client.plan_calls import Plan, Refinement
 from service.schemas.contexts import ContextBody
 from service.schemas.shapes import OUTLINE_EXAMPLE
 from tests.service.client.test_planning_calls import MODEL, STEP
 
 BOX = ContextBody(outline=OUTLINE_EXAMPLE)
+PUSHERS = np.array([[-0.08, 0.02, 0.0], [0.02, -0.06, 1.5708], [0.08, 0.01, 3.14159], [0.03, 0.06, -1.5708]])
 TRIANGLE = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]])
 ANSWER = {
     "model": MODEL,
@@ -93,3 +96,47 @@ def test_an_answer_that_contradicts_itself_is_unreadable(changed: dict[str, Any]
     """Every push has one step, and warnings are about pushes that there are."""
     with pytest.raises(UnreadableAnswerError):
         read(ANSWER | changed)
+
+
+def test_a_refined_context_is_taken_by_other_calls(project_root: Path) -> None:
+    """Both clients give the same context, and a prediction with it is nearer to the outcomes than before."""
+    registry = str(project_root / "models")
+    with Client.local(registry) as client:
+        loaded = ContextBody(outline=OUTLINE_EXAMPLE, centre_of_mass=[0.03, 0.0])
+        outcomes = client.predict_batch(PUSHERS, loaded).mean
+        found = client.refine(BOX, PUSHERS, outcomes)
+        assert (found.outliers, found.warnings) == ((), ())
+        before, after = (
+            np.abs(client.predict_batch(PUSHERS, context).mean - outcomes).mean() for context in (BOX, found.context)
+        )
+        assert after < 0.7 * before
+
+        async def ask() -> Refinement:
+            """Ask the same with asyncio."""
+            async with AsyncClient.local(registry) as other:
+                return await other.refine(BOX, PUSHERS, outcomes)
+
+        assert asyncio.run(ask()).context == found.context
+
+
+@pytest.mark.parametrize("outcomes", [[0.0, 0.0, 0.0], [[0.0, 0.0]], [[np.nan, 0.0, 0.0]]])
+def test_outcomes_of_another_form_are_refused_at_once(outcomes: object) -> None:
+    """Arrays of another shape, and numbers that are none, are refused before anything is sent."""
+    with pytest.raises(ProblemError, match="outcomes"):
+        plan_calls.refine(BOX, PUSHERS[:1], outcomes, None, None, 0, None)  # type: ignore[arg-type]
+
+
+def test_an_answer_about_other_pushes_is_none() -> None:
+    """Outliers that are none of the rows that were sent are refused."""
+    call = plan_calls.refine(BOX, PUSHERS, PUSHERS, 0.05, [[0.0, 0.0, 0.0]], 3, "push-shape")
+    sent = json.loads(call.body["content"])
+    assert (sent["seed"], sent["model"], sent["lengths"], len(sent["object_poses"])) == (3, "push-shape", 0.05, 1)
+    answer = {
+        "model": {"name": "push-shape", "version": 1},
+        "frame": "object",
+        "context": {"outline": OUTLINE_EXAMPLE},
+        "outliers": [4],
+        "warnings": [],
+    }
+    with pytest.raises(UnreadableAnswerError, match="outliers"):
+        call.read(200, json.dumps(answer).encode(), None)

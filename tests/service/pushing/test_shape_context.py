@@ -62,3 +62,16 @@ def test_a_reduced_outline_keeps_the_corners_that_matter() -> None:
     dense = np.concatenate([np.linspace(BOX[side], BOX[(side + 1) % 4], 30, endpoint=False) for side in range(4)])
     assert sorted(map(tuple, reduced(dense, 4).round(9).tolist())) == sorted(BOX)
     assert len(reduced(_circle(512), CORNERS)) == CORNERS
+
+
+def test_pressure_changes_the_support_alone() -> None:
+    """A pressure that is even gives the tensors of an unknown one, and another one moves shares only."""
+    unknown, even, rim = (
+        ShapeContext(Outline.of(BOX), pressure=pressure).tensors()
+        for pressure in (None, (0.0, 0.0, 0.0), (1.0, 0.0, 1.0))
+    )
+    for one, other in zip(unknown, even, strict=True):
+        assert one.tobytes() == other.tobytes()
+    assert np.abs(rim.support[:, 2] - even.support[:, 2]).max() > 0.01
+    assert rim.support[:, :2].tobytes() == even.support[:, :2].tobytes()
+    assert rim.body.tobytes() == even.body.tobytes()

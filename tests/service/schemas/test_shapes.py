@@ -154,3 +154,17 @@ def test_the_reach_of_a_frame_is_bounded() -> None:
     """Corners at the bound are accepted: float32 still has a micrometre there."""
     corners = [[x + SHAPE_REACH_M - 0.06, y] for x, y in OUTLINE_EXAMPLE]
     assert shape_of({"outline": corners}).outline.corners.max() == SHAPE_REACH_M
+
+
+def test_a_pressure_is_part_of_the_shape_and_of_its_key() -> None:
+    """Three numbers become the pressure of the shape, and two shapes that differ by it have different keys."""
+    assert shape_of(BOX | {"pressure": [0.5, 0.0, -0.5]}).pressure == (0.5, 0.0, -0.5)
+    keys = {validate_body(ContextBody, BOX | {"pressure": pressure}).key for pressure in (None, [0, 0, 0], [1, 0, 1])}
+    assert len(keys) == 3
+
+
+@pytest.mark.parametrize("pressure", [[1.0, 0.0], [0.0] * 4, [0.0, 0.0, 5.1], "rim", [True, 0, 0]])
+def test_other_pressures_are_refused(pressure: object) -> None:
+    """A pressure of another length, type or size is refused by its field."""
+    with pytest.raises(InvalidRequestError, match="pressure"):
+        shape_of(BOX | {"pressure": pressure})
