@@ -88,7 +88,7 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
 
 def test_every_line_about_planning_runs(port: int, folder: Path) -> None:
     """The code blocks of docs/planning.md run as one program, but for those that are programs of their own."""
-    blocks = [block for block in PLANNING_BLOCKS if not block.startswith("import matplotlib")]
+    blocks = [block for block in PLANNING_BLOCKS if not block.startswith(("import matplotlib", "import gymnasium"))]
     assert len(blocks) == 5
     assert "turns the object least" in run_python("\n".join(blocks), port, folder)
 
@@ -101,6 +101,15 @@ def test_the_program_from_a_photograph_to_three_pushes_draws_them(port: int, fol
     assert re.search(r"[1-3] pushes, at the goal with probability 0\.[5-9]", printed)
     with Image.open(folder / "plan.png") as picture:
         assert np.asarray(picture.convert("L")).std() > 10.0
+
+
+def test_the_program_in_the_simulator_reaches_its_goal(port: int, folder: Path) -> None:
+    """The program of docs/planning.md that plans again after each push has at most twenty lines."""
+    pytest.importorskip("gymnasium", reason="the environment needs the extra gym")
+    (program,) = (block for block in PLANNING_BLOCKS if block.startswith("import gymnasium"))
+    assert len([line for line in program.splitlines() if line]) <= 20
+    printed = run_python(program, port, folder)
+    assert re.search(r"^\d+ pushes, \d+ mm from the goal, reached: True$", printed, re.MULTILINE), printed
 
 
 def run_python(code: str, port: int, folder: Path) -> str:
