@@ -9,13 +9,16 @@ import pytest
 
 from benchmarks import plan as benchmark
 from benchmarks import plan_picture
-from benchmarks.plan import AMONG, MECHANICS, Scene, greedy, main, obstructed, quasi_static, run_task, scenes
+from benchmarks.plan import MECHANICS, PLANNERS, Scene, greedy, main, obstructed, quasi_static, run_task, scenes
 from benchmarks.plan_page import Measured, figures, table
 from service.planning.paths import Paths
 from service.planning.surroundings import Surroundings
 from service.pushing.poses import DoubleArray
 from service.registry.registry import Registry
 from tests.served_graphs import publish_shapes
+
+
+AMONG = PLANNERS[-1]
 
 
 def measured(planner: str, reached: bool, pushes: int, touched: int = 0) -> Measured:
