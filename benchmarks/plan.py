@@ -69,8 +69,24 @@ _TRIES: Final = 200
 _CLEARANCE_M: Final = 0.005
 _SURE: Final = 1e-6  # deviation of mechanics, which has none
 
-Decide = Callable[[DoubleArray, int], DoubleArray | str]
-"""Function of the object's pose (3,) and the pushes that are left: the next push (4,) in the world, or why not."""
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """Decision for a push, or against any.
+
+    Attributes:
+        push: (4,) in the world, or None.
+        expected: (3,) pose of the object after it.
+        reason: why there is no push, or an empty text.
+    """
+
+    push: DoubleArray | None
+    expected: DoubleArray
+    reason: str = ""
+
+
+Decide = Callable[[DoubleArray, int], Decision]
+"""Function of the object's pose (3,) and the pushes that are left."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,31 +113,40 @@ def run_task(scene: Scene, planner: str, decide: Decide) -> Measured:
     table, goal = scene.task.tabletop(), scene.goal()
     wall_ms: list[float] = []
     processor_ms: list[float] = []
-    pushes = touched = 0
-    reason = ""
-    while goal.probability(table.pose[None]) < 1.0 and pushes < MOST_PUSHES:
+    errors: list[tuple[float, float]] = []
+    touched, reason = 0, ""
+    while goal.probability(table.pose[None]) < 1.0 and len(errors) < MOST_PUSHES:
         began, worked = time.perf_counter(), time.process_time()
-        push = decide(table.pose, MOST_PUSHES - pushes)
+        decision = decide(table.pose, MOST_PUSHES - len(errors))
         wall_ms.append(1e3 * (time.perf_counter() - began))
         processor_ms.append(1e3 * (time.process_time() - worked))
-        if isinstance(push, str):
-            reason = push
+        if decision.push is None:
+            reason = decision.reason
             break
         before = table.pose
-        touched += scene.touches(before, table.push(push), push)
-        pushes += 1
-    off = table.pose - scene.task.goal
+        touched += scene.touches(before, table.push(decision.push), decision.push)
+        errors.append(apart(table.pose, decision.expected))
+    reached = bool(goal.probability(table.pose[None]) == 1.0)
+    distance_mm, turn_deg = apart(table.pose, scene.task.goal)
     return Measured(
         planner,
-        bool(goal.probability(table.pose[None]) == 1.0),
-        pushes,
+        reached,
+        len(errors),
         touched,
-        float(1e3 * np.hypot(off[0], off[1])),
-        float(np.degrees(abs(wrap_angles(off[2:])[0]))),
+        distance_mm,
+        turn_deg,
         wall_ms,
         processor_ms,
+        [distance for distance, _ in errors],
+        [turn for _, turn in errors],
         reason,
     )
+
+
+def apart(pose: DoubleArray, other: DoubleArray) -> tuple[float, float]:
+    """Return the distance in mm and the turn in degrees between two poses (3,)."""
+    off = pose - other
+    return float(1e3 * np.hypot(off[0], off[1])), float(np.degrees(abs(wrap_angles(off[2:])[0])))
 
 
 class Contestants:
@@ -145,13 +170,15 @@ class Contestants:
     def _planned(self, scene: Scene, model: PushModel, lengths_m: Sequence[float]) -> Decide:
         drawn = scene.task.drawn
 
-        def decide(pose: DoubleArray, left: int) -> DoubleArray | str:
+        def decide(pose: DoubleArray, left: int) -> Decision:
             """Return the first push of a plan, or why there is none."""
             task = PlanTask(
                 pose, scene.goal(), np.array(lengths_m), left, scene.surroundings, _CLEARANCE_M, TIME_S, SEED
             )
             found = plan(model, drawn.outline, drawn.pusher_radius_m, task, lambda: 0.0)
-            return found.pushes[0] if len(found.pushes) else str(found.reason)
+            if found.outcome is None:
+                return Decision(None, pose, str(found.reason))
+            return Decision(found.pushes[0], found.outcome.moments().mean[0, 0])
 
         return decide
 
@@ -161,15 +188,14 @@ def greedy(scene: Scene, model: PushModel) -> Decide:
     drawn, goal = scene.task.drawn, scene.task.goal
     pusher = Pusher(model, drawn.outline, drawn.pusher_radius_m, np.array(LENGTHS_M))
 
-    def decide(pose: DoubleArray, _: int) -> DoubleArray:
+    def decide(pose: DoubleArray, _: int) -> Decision:
         """Return the push whose end is nearest."""
         found = pusher.candidates(pusher.spread(_CANDIDATES), lambda: False)
         ends = moved(pose, found.motions)
         distance = np.hypot(ends[:, 0] - goal[0], ends[:, 1] - goal[1]) / POSITION_M
         turn = wrap_angles(ends[:, 2] - goal[2]) / ANGLE_RAD
         best = int((distance**2 + turn**2).argmin())
-        (push,) = placed(found.pushes[best : best + 1], pose[None])
-        return np.asarray(push)
+        return Decision(placed(found.pushes[best : best + 1], pose[None])[0], ends[best])
 
     return decide
 

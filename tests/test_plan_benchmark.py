@@ -9,7 +9,18 @@ import pytest
 
 from benchmarks import plan as benchmark
 from benchmarks import plan_picture
-from benchmarks.plan import MECHANICS, PLANNERS, Scene, greedy, main, obstructed, quasi_static, run_task, scenes
+from benchmarks.plan import (
+    MECHANICS,
+    PLANNERS,
+    Decision,
+    Scene,
+    greedy,
+    main,
+    obstructed,
+    quasi_static,
+    run_task,
+    scenes,
+)
 from benchmarks.plan_page import Measured, figures, table
 from service.planning.paths import Paths
 from service.planning.surroundings import Surroundings
@@ -17,13 +28,24 @@ from service.pushing.poses import DoubleArray
 from service.registry.registry import Registry
 from tests.served_graphs import publish_shapes
 
-
 AMONG = PLANNERS[-1]
 
 
 def measured(planner: str, reached: bool, pushes: int, touched: int = 0) -> Measured:
     """Return the result of a task."""
-    return Measured(planner, reached, pushes, touched, 20.0, 5.0, [100.0] * pushes, [50.0] * pushes, "")
+    return Measured(
+        planner,
+        reached,
+        pushes,
+        touched,
+        20.0,
+        5.0,
+        [100.0] * pushes,
+        [50.0] * pushes,
+        [3.0] * pushes,
+        [2.0] * pushes,
+        "",
+    )
 
 
 def test_tasks_are_turned_by_up_to_half_a_turn_and_shared_by_all_planners() -> None:
@@ -59,7 +81,7 @@ def test_a_greedy_planner_over_mechanics_reaches_most_goals() -> None:
     scene = scenes(1, MECHANICS)[0]
     drawn = scene.task.drawn
     found = run_task(scene, "greedy", greedy(scene, quasi_static(drawn.outline, drawn.pusher_radius_m)))
-    assert len(found.wall_ms) == len(found.processor_ms) == found.pushes
+    assert len(found.wall_ms) == len(found.processor_ms) == len(found.error_mm) == found.pushes
     assert found.reached == (found.distance_mm <= 10.0 and found.turn_deg <= 10.0)
     assert found.touched == 0
     assert found.reached or found.pushes == 10
@@ -68,9 +90,9 @@ def test_a_greedy_planner_over_mechanics_reaches_most_goals() -> None:
 def test_a_task_without_a_plan_ends_with_its_reason() -> None:
     """No further push is made, and the plan's time counts."""
 
-    def refuse(_: DoubleArray, left: int) -> str:
+    def refuse(pose: DoubleArray, left: int) -> Decision:
         """Give up."""
-        return f"nothing for {left}"
+        return Decision(None, pose, f"nothing for {left}")
 
     found = run_task(scenes(1, MECHANICS)[0], "idle", refuse)
     assert (found.reached, found.pushes, found.reason, len(found.wall_ms)) == (False, 0, "nothing for 10", 1)
@@ -96,9 +118,8 @@ def test_figures_count_goals_pushes_and_times() -> None:
     assert found["a"]["pushes_mean"] == 3.0
     assert found["a"]["touched"] == 1
     assert found["a"]["plan_ms"] == 100.0
-    assert "| a | 2 of 3 | 3.00, 3 | 20 mm, 5 degrees off | 100 ms (100) | 50 ms (50) | 1 of 16 pushes |" in table(
-        found
-    )
+    assert "| a | 2 of 3 | 3.00, 3 | 20 mm, 5 degrees off | 3.0 mm, 2.0 degrees | 100 ms (100) |" in table(found)
+    assert "| 50 ms (50) | 1 of 16 pushes |" in table(found)
     assert "| b | 0 of 1 | -, - |" in table(found)
 
 

@@ -29,6 +29,7 @@ _CELL: Final = 0.35  # of a far push and a far turn
 _FAR: Final = 0.9  # quantile of the candidates' motions
 _TRIED: Final = 16  # times the width: poses that are looked at for a beam
 _CHECKED: Final = 64  # paths into the goal that are checked in one step
+_ROWS_AT_ONCE: Final = 1 << 14  # ends between two pauses
 _LEAST: Final = 1e-6
 
 Rows = npt.NDArray[np.int64]
@@ -118,7 +119,9 @@ class Search:
         for depth in range(1, most_pushes + 1):
             ends = self._ends(beam)
             nearest = min(nearest, self._nearest(ends), key=self._off)
+            pause()
             finished = self._finished(beam, ends, depth)
+            pause()
             if finished is not None and (cheapest is None or finished.cost < cheapest.cost):
                 cheapest = finished
             # a longer sequence costs at least its pushes
@@ -135,11 +138,14 @@ class Search:
     def _ends(self, beam: _Beam) -> _Ends:
         motions = self.candidates.motions
         x, y = _ahead(beam.poses, motions[:, :2])
+        pause()
         yaw = (beam.poses[:, 2:] + motions[:, 2]).ravel()
         centres = np.stack(_ahead(beam.poses, self._centres), axis=1)
         pause()
         goal_x, goal_y, goal_yaw = self.goal.pose
-        return _Ends(x, y, yaw, centres, np.hypot(x - goal_x, y - goal_y), np.abs(wrap_angles(yaw - goal_yaw)))
+        distance = np.hypot(x - goal_x, y - goal_y)
+        pause()
+        return _Ends(x, y, yaw, centres, distance, np.abs(wrap_angles(yaw - goal_yaw)))
 
     @cached_property
     def _centres(self) -> DoubleArray:
@@ -183,9 +189,15 @@ class Search:
         """Return the beam after one more push."""
         motions = self.candidates.motions
         far_m, far_rad = self._far
-        remaining = np.hypot(self.remaining_m(ends.centres) / far_m, ends.turn / far_rad)
+        ways = []
+        for begin in range(0, len(ends.centres), _ROWS_AT_ONCE):
+            ways.append(self.remaining_m(ends.centres[begin : begin + _ROWS_AT_ONCE]))
+            pause()
+        remaining = np.hypot(np.concatenate(ways) / far_m, ends.turn / far_rad)
+        pause()
         count = min(len(remaining), _TRIED * self.width)
         near = np.argpartition(remaining, count - 1)[:count]
+        pause()
         near = near[np.lexsort([near, remaining[near]])]
         units = np.array([far_m, far_m, far_rad]) * _CELL
         places = np.column_stack([ends.centres[near], ends.yaw[near]])
