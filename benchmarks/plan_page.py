@@ -132,10 +132,11 @@ def table(found: dict[str, dict[str, float]]) -> str:
             f"{row['missed_mm']:.0f} mm, {row['missed_deg']:.0f} degrees off" if row["reached"] < row["tasks"] else "-"
         )
         pushes = f"{row['pushes_mean']:.2f}, {row['pushes_median']:.0f}" if row["reached"] else "-, -"
+        error = f"{row['error_mm']:.1f} mm, {row['error_deg']:.1f} degrees" if row["pushes"] else "-"
         lines.append(
             f"| {planner} | {row['reached']:.0f} of {row['tasks']:.0f} "
             f"| {pushes} | {missed} "
-            f"| {row['error_mm']:.1f} mm, {row['error_deg']:.1f} degrees "
+            f"| {error} "
             f"| {row['plan_ms']:.0f} ms ({row['plan_ms_95']:.0f}) "
             f"| {row['processor_ms']:.0f} ms ({row['processor_ms_95']:.0f}) "
             f"| {row['touched']:.0f} of {row['pushes']:.0f} pushes |"
