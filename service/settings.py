@@ -18,7 +18,7 @@ PREFIX: Final = "CAZSL_"
 NOT_TEXT: Final = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ufeff\ud800-\udfff]")
 _LONGEST_TEXT: Final = 4096  # as long as a path may be
 _PREFIX_PATH: Final = re.compile(r"(/[A-Za-z0-9_~-][A-Za-z0-9._~-]*)+")
-_DEFAULT_MODELS: Final = ("model_none", "model_indicator", "model_visual", "model_shape")  # by kind of context
+_DEFAULT_MODELS: Final = ("model_none", "model_indicator", "model_visual", "model_shape", "model_support")  # by kind
 _ROUTES: Final = ("v1", "v2", "docs", "livez", "readyz", "metrics", "openapi.json")
 
 
@@ -80,6 +80,9 @@ class Settings(BaseSettings):
     model_shape: Annotated[
         str, Field(description="Likewise with an outline, or an image with its scale (metres_per_pixel).")
     ] = "push-shape"
+    model_support: Annotated[
+        str, Field(description="Likewise with a support: pushes of the object with their outcomes.")
+    ] = "push-anp"
     max_body_bytes: Annotated[
         int, Field(ge=1024, le=1 << 30, description="Maximum size of a request body, in bytes. Larger bodies get 413.")
     ] = 12 << 20

@@ -138,7 +138,7 @@ def draft_manifest(name: str = "push-indicator", kind: ContextKind = ContextKind
         method="FCN" if kind is ContextKind.NONE else "FCN + CM",
         context_kind=kind,
         inputs=inputs,
-        outputs=OUTPUTS_WITH_UNFAMILIARITY if kind is ContextKind.SHAPE else OUTPUTS,
+        outputs=OUTPUTS_WITH_UNFAMILIARITY if kind in (ContextKind.SHAPE, ContextKind.SUPPORT) else OUTPUTS,
         normalisation=NormalisationRecord([0.0] * 3, [1.0] * 3, [0.0] * 3, [1.0] * 3),
         image_convention=None,
         recipe={"epochs": 1, "seed": 0},
@@ -180,6 +180,7 @@ def all_fake_models(folder: Path) -> tuple[Registry, LoadedModels]:
     registry, models = fake_models(folder)
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     publish_fake(registry, "push-shape", ContextKind.SHAPE)
+    publish_fake(registry, "push-anp", ContextKind.SUPPORT)
     publish_fake(registry, "push-failing", model=FAILING)
     models.refresh()
     return registry, models

@@ -5,6 +5,7 @@ import base64
 from hypothesis import strategies as st
 
 from service.schemas.shapes import L_EXAMPLE, OUTLINE_EXAMPLE
+from service.schemas.supports import SUPPORT_EXAMPLE
 
 VISUAL = base64.b64encode(bytes(1024)).decode()
 PUSHER = {"x": -0.075, "y": 0.0, "angle": 0.0}
@@ -21,6 +22,12 @@ contexts = st.one_of(
     st.sampled_from(["1a2b3c4a", "4a4a4a4a", "9z", ""]).map(lambda text: {"descriptor": text}),
     st.lists(st.sampled_from([0, 1, 1.0, 2]), min_size=35, max_size=37).map(lambda bits: {"indicator": bits}),
     st.sampled_from([{"outline": OUTLINE_EXAMPLE}, {"outline": L_EXAMPLE, "friction": 0.3}, {"outline": [[0, 0]]}]),
+    st.sampled_from([SUPPORT_EXAMPLE, {"pushers": [[0.1, 0.0, 9.0]] * 51, "outcomes": [[0.0, 0.0, 0.0]] * 51}, {}]).map(
+        lambda support: {"support": support}
+    ),
+    st.lists(st.lists(numbers, min_size=3, max_size=3), max_size=3).map(
+        lambda rows: {"support": {"pushers": rows, "outcomes": [[0.0, 0.0, 0.0]] * 2}}
+    ),
     st.floats(0.01, 0.1).map(lambda side: {"outline": [[0.0, 0.0], [side, 0.0], [0.0, side]]}),
     st.sampled_from([{"visual": VISUAL}, {"visual": [[0.5] * 32] * 32}, {"visual": [[2]]}, {"visual": "?"}, {}]),
 )
@@ -30,6 +37,7 @@ references = st.sampled_from(
         None,
         "push-none",
         "push-shape",
+        "push-anp",
         "push-indicator@1",
         "push-visual@champion",
         "push-failing",

@@ -13,11 +13,12 @@ from typing import Any, Final
 import numpy as np
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
+from service.inference.snapshot import DEFAULT_MODELS
 from service.model.manifest import SelfCheck
 from service.model.predictor import OnnxPredictor
 from service.model.self_check import flattened
 from service.model.tensors import ContextKind, FloatArray, IndexArray
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
+from service.pushing.contexts import INDICATOR_LENGTH, MAX_SUPPORT, VISUAL_SIZE, SupportContext
 from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from service.pushing.outlines import Outline
 from service.pushing.shape_context import ShapeContext
@@ -110,7 +111,7 @@ def publish_shapes(registry: Registry, name: str = "push-shape") -> int:
 
 def served_predictor(project_root: Path, kind: ContextKind) -> OnnxPredictor:
     """Return the predictor of the last version that ships of a kind."""
-    registry, name = Registry(project_root / "models"), f"push-{kind}"
+    registry, name = Registry(project_root / "models"), DEFAULT_MODELS[kind]
     verified = registry.read(name, registry.versions(name)[-1])
     return OnnxPredictor(verified.model, verified.manifest.inputs, verified.manifest.outputs)
 
@@ -130,8 +131,19 @@ def random_question(
         few = [ShapeContext(Outline.of(BOX.corners * scale)).tensors() for scale in scales[:7]]
         tensors = tuple(np.stack(part)[np.arange(contexts) % len(few)] for part in zip(*few, strict=True))
         return np.hstack([pushers, lengths]), tensors, index
+    if kind is ContextKind.SUPPORT:
+        return pushers, support_tensors(rng, contexts), index
     shape = (INDICATOR_LENGTH,) if kind is ContextKind.INDICATOR else (1, VISUAL_SIZE, VISUAL_SIZE)
     return pushers, (rng.random((contexts, *shape), dtype=np.float32),), index
+
+
+def support_tensors(rng: np.random.Generator, contexts: int) -> tuple[FloatArray, ...]:
+    """Return the tensors of random supports of 1 to 50 pushes, (g, ...) each."""
+    supports = []
+    for count in rng.integers(1, MAX_SUPPORT + 1, contexts).tolist():
+        pushers = rng.uniform([-0.1, -0.1, -3.1], [0.1, 0.1, 3.1], (count, 3))
+        supports.append(SupportContext.of(pushers, rng.uniform(-0.03, 0.03, (count, 3))).tensors())
+    return tuple(map(np.stack, zip(*supports, strict=True)))
 
 
 def same_numbers(kind: ContextKind, found: FloatArray, expected: FloatArray) -> bool:

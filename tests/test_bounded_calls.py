@@ -55,7 +55,7 @@ def picture() -> bytes:
     return buffer.getvalue()
 
 
-def batch(pushes: int, contexts: list[dict[str, str]] | None = None) -> Request:
+def batch(pushes: int, contexts: list[dict[str, Any]] | None = None) -> Request:
     """Return a batch of the first pushes."""
     body = {"pushers": PUSHERS[:pushes].tolist()} | ({} if contexts is None else {"contexts": contexts})
     return "/v1/predict/batch", {"json": body}
@@ -73,6 +73,13 @@ REQUESTS: dict[str, tuple[ContextKind, int, Callable[[], Request]]] = {
         ContextKind.VISUAL,
         VIEWS,
         lambda: batch(VIEWS, [{"visual": base64.b64encode(view).decode()} for view in levels()]),
+    ),
+    "batch, supports": (
+        ContextKind.SUPPORT,
+        3000,
+        lambda: batch(
+            3000, [{"support": {"pushers": [push], "outcomes": [[0, 0, 0]]}} for push in PUSHERS[:3000].tolist()]
+        ),
     ),
     "image": (
         ContextKind.VISUAL,

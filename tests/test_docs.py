@@ -62,7 +62,7 @@ def run(command: list[str], code: str, folder: Path, environment: dict[str, str]
 def test_every_shell_block_prints_json(port: int, folder: Path) -> None:
     """Every shell block of docs/api.md succeeds and prints JSON. Its curl fails on a status that is not a success."""
     blocks = [code for language, code in BLOCKS if language == "sh"]
-    assert len(blocks) == 8
+    assert len(blocks) == 9
     for code in blocks:
         printed = run(["bash", "-e"], code.replace("localhost:8000", f"127.0.0.1:{port}"), folder)
         assert printed.startswith("{"), code
@@ -71,7 +71,7 @@ def test_every_shell_block_prints_json(port: int, folder: Path) -> None:
 def test_every_python_block_runs(port: int, folder: Path) -> None:
     """The Python blocks of docs/api.md run as one program, because later blocks use the variables of earlier ones."""
     blocks = [code for language, code in BLOCKS if language == "python"]
-    assert len(blocks) == 8
+    assert len(blocks) == 9
     printed = run([sys.executable, "-"], "\n".join(blocks).replace("localhost:8000", f"127.0.0.1:{port}"), folder)
     assert "turns the object least" in printed
     assert (folder / "seen.png").exists()
@@ -79,7 +79,7 @@ def test_every_python_block_runs(port: int, folder: Path) -> None:
 
 def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
     """The code blocks of docs/client.md run as one program, in a folder with the shipped models."""
-    assert len(CLIENT_BLOCKS) == 12
+    assert len(CLIENT_BLOCKS) == 13
     shutil.copytree(ROOT / "models", folder / "models")
     printed = run_python("\n".join(CLIENT_BLOCKS), port, folder)
     assert "422 invalid_request body.pusher.x" in printed

@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from service.api.v1.object_contexts import MAX_IMAGES
+from service.inference.snapshot import DEFAULT_MODELS
 from service.planning.refine import MOST_PUSHES
 from service.pushing.contexts import BITS_PER_SIDE, SHAPE_DIGITS, SIDES, TRIANGULAR
 from service.pushing.poses import REACH_M, WORLD_M
@@ -26,7 +27,9 @@ KINDS = {
     "visual": "visual",
     "image": "visual",
     "outline": "shape",
+    "support": "support",
 }
+WITHOUT_OUTLINE = ("visual", "support")
 RADIUS_M = 0.04  # of a drawn outline
 FORMATS = ("PNG", "JPEG", "WEBP")
 NEAR_M = 0.7 * REACH_M  # a pusher that is so near along both axes is in reach, in a frame of any angle
@@ -95,6 +98,12 @@ def make_context_valid(context: Json) -> str:
         if context.get("posterior") is not None:
             context["centre_of_mass"] = context[form][0]
             context["posterior"]["correlation"] = np.eye(len(context["posterior"]["std"])).tolist()
+    elif form == "support":
+        pushers, outcomes = context[form]["pushers"], context[form]["outcomes"]
+        count = min(len(pushers), len(outcomes))
+        del pushers[count:], outcomes[count:]
+        for row in (*pushers, *outcomes):
+            row[:2] = [_near(value, 0.0) for value in row[:2]]
     elif form == "image" and context.get(SCALE) is not None:
         context[form], context[SCALE] = base64.b64encode(silhouette()).decode(), 0.001
         context.pop("centre_of_mass", None)
@@ -122,7 +131,7 @@ def make_rollout_valid(body: Json) -> None:
 def make_map_valid(body: Json) -> None:
     """Give a push map an object of known outline, and few pushes."""
     kind = make_context_valid(body["context"])
-    if kind == "visual":
+    if kind in WITHOUT_OUTLINE:
         body["context"], kind = {"outline": _star(repr(body))}, "shape"
     _choose_model(kind, body)
     if body.get("spacing") is not None:
@@ -135,7 +144,7 @@ def make_map_valid(body: Json) -> None:
 def make_plan_valid(body: Json) -> None:
     """Give a plan an object of known outline, simple polygons, and a short time."""
     kind = make_context_valid(body["context"])
-    if kind == "visual":
+    if kind in WITHOUT_OUTLINE:
         body["context"], kind = {"outline": _star(repr(body))}, "shape"
     _choose_model(kind, body)
     if kind != "shape":
@@ -284,7 +293,9 @@ def _choose_model(kind: str, body: Json) -> None:
     """Replace the model by one of this kind. Half of the unknown names remain, because a 404 is documented too."""
     if isinstance(body.get("model"), str):
         name, at, rest = body["model"].partition("@")
-        body["model"] = f"push-{kind}{at}{rest}" if len(name) % 2 == 0 or name.startswith("push-") else body["model"]
+        body["model"] = (
+            f"{DEFAULT_MODELS[kind]}{at}{rest}" if len(name) % 2 == 0 or name.startswith("push-") else body["model"]
+        )
 
 
 def _near(position_m: float, centre_m: float) -> float:

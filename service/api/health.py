@@ -36,11 +36,11 @@ async def live() -> LiveBody:
 async def ready(request: Request, response: Response) -> ReadyBody:
     """Return 200 while the default models answer, else 503 with the `reason`.
 
-    Default models answer pushes that name no model: `push-none`, `push-indicator`, `push-visual` and `push-shape`,
-    unless settings name others. At least one of them has to answer: its alias `champion` serves a version whose last
-    self-check was right. So does every other one that has a champion by the record of the registry. One that never had
-    a champion, or whose champion was removed, is not waited for. Faults that keep no default model from answering, and
-    a file of API keys that cannot be read, are in `problems` and leave the status at 200.
+    Default models answer pushes that name no model: `push-none`, `push-indicator`, `push-visual`, `push-shape` and
+    `push-anp`, unless settings name others. At least one of them has to answer: its alias `champion` serves a version
+    whose last self-check was right. So does every other one that has a champion by the record of the registry. One that
+    never had a champion, or whose champion was removed, is not waited for. Faults that keep no default model from
+    answering, and a file of API keys that cannot be read, are in `problems` and leave the status at 200.
     """
     models, readiness = snapshot_of(request), readiness_of(request)
     reason = readiness.reason()

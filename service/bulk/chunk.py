@@ -20,12 +20,13 @@ from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
 from service.model.self_check import measure_cost
 from service.model.tensors import ContextKind, FloatArray, IndexArray
-from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.contexts import ObjectContext, SupportContext, VisualContext
 from service.pushing.image_quality import QualityFlag
 from service.pushing.poses import MAX_LENGTH_M, DoubleArray, unreachable, wrap_angles
 from service.pushing.shape_context import ShapeContext
 from service.schemas.body import parse_body
 from service.schemas.contexts import ContextBody
+from service.schemas.supports import SupportBody
 from service.validity.codes import AnswerWarning
 from service.validity.judging import find_warnings
 
@@ -36,6 +37,7 @@ CONTEXT_COLUMNS: Final = {
     ContextKind.INDICATOR: "descriptor",
     ContextKind.VISUAL: "visual",
     ContextKind.SHAPE: "context",
+    ContextKind.SUPPORT: "support",
 }
 NUMBER_COLUMNS: Final = ("mean_x_m", "mean_y_m", "mean_angle_rad", "std_x_m", "std_y_m", "std_angle_rad")
 WARNINGS_COLUMN: Final = "warnings"
@@ -44,6 +46,7 @@ CHUNK_ROWS: Final = 8192
 CONTEXT_FIELD: Final = "column of contexts"
 Flags = tuple[QualityFlag, ...]
 _ROW: Final = "row {row} (counted from 0), column "
+_SUPPORT: Final = 'a support, such as {"pushers": [[-0.075, 0, 0]], "outcomes": [[0.02, 0, 0]]}'
 _SHAPE: Final = 'a shape, such as {"outline": [[0.06, 0.04], [-0.06, 0.04], [0.0, -0.05]]}'
 
 
@@ -159,6 +162,8 @@ def _tensors(kind: ContextKind, given: str | bytes | None, where: str) -> tuple[
         case str() if kind is ContextKind.SHAPE:
             shape, flags = _shape(given, where)
             return shape.tensors(), flags
+        case str() if kind is ContextKind.SUPPORT:
+            return _support(given, where).tensors(), ()
         case str():
             return (ObjectContext.from_descriptor(given, where).tensor(),), ()
         case bytes():
@@ -182,6 +187,20 @@ def _shape(given: str, where: str) -> tuple[ShapeContext, Flags]:
     if isinstance(found, ShapeContext):
         return found, flags
     raise InvalidRequestError.at(where, f"a context of kind {found.kind}", _SHAPE)
+
+
+def _support(given: str, where: str) -> SupportContext:
+    """Return the support of a text in JSON, as requests have it.
+
+    Raises:
+        InvalidRequestError: it is not JSON, or not valid.
+    """
+    try:
+        return parse_body(SupportBody, given.encode(), (where,)).to_domain(where)
+    except InvalidRequestError:
+        raise
+    except RequestError as error:
+        raise InvalidRequestError.at(where, "a text that is no support in JSON", _SUPPORT) from error
 
 
 def _where(chunk: Chunk, row: int, column: str) -> str:

@@ -45,6 +45,7 @@ _CONTEXT_TYPES: Final = {
     ContextKind.INDICATOR: "text",
     ContextKind.VISUAL: f"{VISUAL_SIZE**2} bytes",
     ContextKind.SHAPE: "text, JSON of a shape",
+    ContextKind.SUPPORT: "text, JSON of a support",
 }
 
 

@@ -68,20 +68,22 @@ def predict(
     \b
     cazsl predict 1a2b3c4a -- -0.075 0 0
     cazsl predict --context box.json --length 0.02 -- -0.1 0 0
+    cazsl predict --context pushed.json -- -0.075 0 0
     cazsl predict --image wrench.png --metres-per-pixel 0.0004 -- -0.1 0 0
     cazsl predict --parquet pushes.parquet predictions.parquet
 
     One push prints the answer of POST /v1/predict. DESCRIPTOR is the object's four sides, each a shape digit and a
     weight letter, such as 1a2b3c4a. box.json is {"outline": [[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06,
-    -0.04]]}, in m. Without an object, a model without context predicts. The pusher's pose is in the object's frame.
-    Put -- before it if a number is negative.
+    -0.04]]}, in m, and pushed.json {"support": {"pushers": [[-0.075, 0, 0]], "outcomes": [[0.02, 0, 0]]}}, pushes of
+    the object that were observed. Without an object, a model without context predicts. The pusher's pose is in the
+    object's frame. Put -- before it if a number is negative.
 
     A file (extra 'parquet') has the columns x_m, y_m and angle_rad, and one column for the object: descriptor (text),
-    visual (1,024 bytes), context (JSON of a shape, such as box.json), or none. With context, length_m may be a column.
-    Other columns are kept. OUT has the same rows in the same order, with mean_x_m, mean_y_m, mean_angle_rad, std_x_m,
-    std_y_m, std_angle_rad, and warnings, the codes of POST /v1/predict with spaces between them. Its metadata name
-    model and version. It appears once it is complete, is the same to the bit for any number of jobs, and never replaces
-    another file.
+    visual (1,024 bytes), context (JSON of a shape, such as box.json), support (JSON of a support, the object inside of
+    pushed.json), or none. With context, length_m may be a column. Other columns are kept. OUT has the same rows in the
+    same order, with mean_x_m, mean_y_m, mean_angle_rad, std_x_m, std_y_m, std_angle_rad, and warnings, the codes of
+    POST /v1/predict with spaces between them. Its metadata name model and version. It appears once it is complete, is
+    the same to the bit for any number of jobs, and never replaces another file.
     """
     given = {name: value for name, value in described.items() if value is not None}
     if files is not None:

@@ -30,6 +30,7 @@ from service.client.plan_calls import Plan, Refinement
 from service.client.planning_calls import PushMap, Region, Rollout, Steps
 from service.client.retries import Retries
 from service.schemas.contexts import ContextBody
+from service.schemas.supports import SupportBody
 
 __all__ = [
     "AsyncClient",
@@ -46,6 +47,7 @@ __all__ = [
     "Retries",
     "Rollout",
     "Steps",
+    "SupportBody",
     "TimedOutError",
     "UnreachableError",
     "UnreadableAnswerError",

@@ -10,7 +10,10 @@ from service.model.loaded_model import LoadedModel
 from service.model.reference import DEFAULT_ALIAS, ModelReference
 from service.model.tensors import ContextKind
 
-DEFAULT_MODELS: Final[Mapping[str, str]] = {kind: f"push-{kind}" for kind in ContextKind}
+DEFAULT_MODELS: Final[Mapping[str, str]] = {
+    **{kind: f"push-{kind}" for kind in ContextKind},
+    ContextKind.SUPPORT: "push-anp",
+}
 """Default model for each kind of context, unless a setting names another."""
 
 

@@ -40,6 +40,7 @@ class ContextKind(StrEnum):
     INDICATOR = "indicator"
     VISUAL = "visual"
     SHAPE = "shape"
+    SUPPORT = "support"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Object contexts: an object as its four sides or as a small view, and the index of each push's context.
+"""Object contexts: an object as its four sides, as a small view or as some of its pushes, and the index of contexts.
 
 Sides count counter-clockwise from the x axis of the object frame (see ``service.pushing.poses``).
 Standard library and numpy only.
@@ -12,6 +12,7 @@ import numpy as np
 
 from service.errors import FieldFault, InvalidRequestError
 from service.model.tensors import ContextKind, FloatArray, IndexArray
+from service.pushing.poses import DoubleArray, reachable
 
 SIDES: Final = 4
 SHAPE_DIGITS: Final = "1234"  # concave, triangular, circular, rectangular
@@ -21,6 +22,7 @@ TRIANGULAR: Final = "2"
 BITS_PER_SIDE: Final = len(SHAPE_DIGITS) + len(WEIGHT_LETTERS)
 INDICATOR_LENGTH: Final = SIDES * BITS_PER_SIDE
 VISUAL_SIZE: Final = 32
+MAX_SUPPORT: Final = 50  # pushes, as many as the paper's meta-learner is given
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,6 +160,49 @@ class VisualContext:
         """Return the tensor that the networks take, float32 [1, 32, 32] in [0, 1]."""
         grey = np.frombuffer(self.levels, dtype=np.uint8).astype(np.float32) / np.float32(255.0)
         return grey.reshape(1, VISUAL_SIZE, VISUAL_SIZE)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SupportContext:
+    """An object as some of its pushes with their outcomes: the support of a meta-learner.
+
+    Attributes:
+        pushers: (k, 3) poses of the tip before each push, m, m, rad, in the object frame before that push.
+        outcomes: (k, 3) pose of the object after each push, in the same frame.
+    """
+
+    pushers: DoubleArray
+    outcomes: DoubleArray
+
+    @classmethod
+    def of(cls, pushers: DoubleArray, outcomes: DoubleArray, where: str = "support") -> Self:
+        """Create a support of 1 to 50 pushes (k, 3) and as many outcomes (k, 3). Angles are wrapped.
+
+        Raises:
+            InvalidRequestError: there are none, too many or unequally many, or a coordinate is over ``REACH_M``. The
+                message names the row.
+        """
+        if not 1 <= len(pushers) <= MAX_SUPPORT:
+            raise InvalidRequestError.at(f"{where}.pushers", f"{len(pushers)} pushes", f"1 to {MAX_SUPPORT} pushes")
+        if len(outcomes) != len(pushers):
+            accepted = f"as many as pushers, {len(pushers)}: one per push"
+            raise InvalidRequestError.at(f"{where}.outcomes", f"{len(outcomes)} outcomes", accepted)
+        return cls(reachable(pushers, f"{where}.pushers"), reachable(outcomes, f"{where}.outcomes"))
+
+    @property
+    def kind(self) -> ContextKind:
+        """Return the kind of this context."""
+        return ContextKind.SUPPORT
+
+    def tensors(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the tensors that the networks take: pushers and outcomes [50, 3], and [50] ones for pushes, float32.
+
+        Rows after the last push are zeros.
+        """
+        count = len(self.pushers)
+        poses, valid = np.zeros((2, MAX_SUPPORT, 3), dtype=np.float32), np.zeros(MAX_SUPPORT, dtype=np.float32)
+        poses[0, :count], poses[1, :count], valid[:count] = self.pushers, self.outcomes, 1.0
+        return poses[0], poses[1], valid
 
 
 def index_contexts(

@@ -135,7 +135,7 @@ def _means(model: LoadedModel, contexts: Contexts, pushes: DoubleArray, scale: f
 def _contexts(model: LoadedModel, turn: float) -> Contexts:
     """Return the contexts of the objects above, turned about their origin.
 
-    A visual model has views instead, those of its self-check.
+    A visual model has views instead, and a meta-learner supports: those of its self-check.
     """
     quarters = round(turn / (math.pi / 2.0))
     match model.manifest.context_kind:
@@ -144,11 +144,22 @@ def _contexts(model: LoadedModel, turn: float) -> Contexts:
         case ContextKind.VISUAL:
             views = stored_contexts(model.manifest)[0]
             return (np.ascontiguousarray(np.rot90(views, quarters, axes=(2, 3))),)  # x points right and y up in a view
+        case ContextKind.SUPPORT:
+            pushers, outcomes, valid = stored_contexts(model.manifest)
+            return _turned(pushers, turn, turn), _turned(outcomes, turn, 0.0), valid
         case ContextKind.SHAPE:
             turning = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
             return _shapes(lambda corners: corners @ turning)
         case ContextKind.INDICATOR:
             return (np.stack([ObjectContext.from_descriptor(name).turned(quarters).indicator() for name in OBJECTS]),)
+
+
+def _turned(poses: FloatArray, turn: float, heading: float) -> FloatArray:
+    """Return poses (g, k, 3) of a scene that is turned about the origin. ``heading`` is added to their angles."""
+    cos, sin = math.cos(turn), math.sin(turn)
+    places = poses[..., :2].astype(np.float64) @ np.array([[cos, sin], [-sin, cos]])
+    angles = wrap_angles(poses[..., 2:].astype(np.float64) + heading)
+    return np.concatenate([places, angles], axis=-1).astype(np.float32)
 
 
 def _shapes(moved: Callable[[DoubleArray], DoubleArray], scale: float = 1.0) -> Contexts:
@@ -173,7 +184,7 @@ class PushDomain:
 
     def outputs(self, kind: ContextKind, manifest_format: int) -> tuple[tuple[Tensor, ...], ...]:
         """See ``Domain.outputs``."""
-        if kind is ContextKind.SHAPE:
+        if kind in (ContextKind.SHAPE, ContextKind.SUPPORT):
             return (OUTPUTS_WITH_UNFAMILIARITY,)
         return (OUTPUTS,) if manifest_format < UNFAMILIARITY_SINCE else (OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY)
 

@@ -3,7 +3,7 @@
 from typing import Final
 
 from service.model.tensors import ContextKind, Tensor
-from service.pushing.contexts import INDICATOR_LENGTH, VISUAL_SIZE
+from service.pushing.contexts import INDICATOR_LENGTH, MAX_SUPPORT, VISUAL_SIZE
 from service.pushing.shape_context import BODY_UNITS, CORNERS, SILHOUETTE_SIZE
 from service.pushing.support import MOST_POINTS
 
@@ -18,6 +18,10 @@ _SHAPE: Final = (
     Tensor("support", "float32", ("g", MOST_POINTS, 3), ("m", "m", "1")),
     Tensor("body", "float32", ("g", len(BODY_UNITS)), BODY_UNITS),
 )
+_SUPPORT: Final = (
+    *(Tensor(f"support_{name}", "float32", ("g", MAX_SUPPORT, 3), _POSE_UNITS) for name in ("pushers", "outcomes")),
+    Tensor("support_valid", "float32", ("g", MAX_SUPPORT), ("1",)),
+)
 _CONTEXT_INDEX: Final = Tensor("context_index", "int64", ("n",), ("1",))
 OUTPUTS: Final = tuple(Tensor(name, "float32", ("n", 3), _POSE_UNITS) for name in ("mean", "std"))
 OUTPUTS_WITH_UNFAMILIARITY: Final = (*OUTPUTS, Tensor("unfamiliarity", "float32", ("n", 2), ("1", "1")))
@@ -30,4 +34,6 @@ def expected_inputs(kind: ContextKind) -> tuple[Tensor, ...]:
         return (_PUSHER,)
     if kind is ContextKind.SHAPE:
         return (_PUSHER_WITH_LENGTH, *_SHAPE, _CONTEXT_INDEX)
+    if kind is ContextKind.SUPPORT:
+        return (_PUSHER, *_SUPPORT, _CONTEXT_INDEX)
     return (_PUSHER, _VISUAL if kind is ContextKind.VISUAL else _INDICATOR, _CONTEXT_INDEX)

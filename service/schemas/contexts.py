@@ -1,4 +1,4 @@
-"""Bodies of object contexts: descriptor, indicator, visual context, image or outline, and their conversion."""
+"""Bodies of object contexts: descriptor, indicator, visual context, image, outline or support, and conversion."""
 
 import base64
 import binascii
@@ -9,7 +9,14 @@ import numpy as np
 from pydantic import BeforeValidator, ConfigDict, Field
 
 from service.errors import InvalidRequestError
-from service.pushing.contexts import INDICATOR_LENGTH, SIDES, VISUAL_SIZE, ObjectContext, VisualContext
+from service.pushing.contexts import (
+    INDICATOR_LENGTH,
+    SIDES,
+    VISUAL_SIZE,
+    ObjectContext,
+    SupportContext,
+    VisualContext,
+)
 from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode, visual_context
 from service.pushing.outlines import FEWEST_CORNERS, MOST_CORNERS
@@ -27,14 +34,15 @@ from service.schemas.shapes import (
     listed,
     read_outline,
 )
+from service.schemas.supports import SUPPORT_EXAMPLE, SupportBody
 
 INDICATOR_EXAMPLE: Final = ObjectContext.from_descriptor("1a2b3c4a").indicator().astype(int).tolist()
 IMAGE_EXAMPLE: Final = (  # PNG: a grey square in the middle of 32 x 32 pixels
     "iVBORw0KGgoAAAANSUhEUgAAACAAAAAgCAAAAABWESUoAAAAIklEQVR42mNgGAUMDAwMjDBGA5oE"
     "jM9EyIRRBcNJwSiAAABMRQEgAJdlWQAAAABJRU5ErkJggg=="
 )
-DomainContext = ObjectContext | VisualContext | ShapeContext
-FORMS: Final = ("descriptor", "indicator", "visual", "image", "outline")
+DomainContext = ObjectContext | VisualContext | ShapeContext | SupportContext
+FORMS: Final = ("descriptor", "indicator", "visual", "image", "outline", "support")
 _PIECE_LENGTH: Final = 1 << 18  # characters of base64: a multiple of four
 _VISUAL_TEXT_LENGTH: Final = 4 * math.ceil(VISUAL_SIZE**2 / 3)
 # Schemas of the OpenAPI document only. ``to_domain`` has the better error messages.
@@ -78,7 +86,7 @@ ContextKey = str | ShapeKey
 
 
 class ContextBody(ShapeDetails):
-    """Object context in exactly one form: descriptor, indicator, visual, image or outline.
+    """Object context in exactly one form: descriptor, indicator, visual, image, outline or support.
 
     An outline, or an image with ``metres_per_pixel``, is an object of any shape. It may come with what else is known.
     """
@@ -147,10 +155,18 @@ class ContextBody(ShapeDetails):
         ),
     ] = None
 
+    support: Annotated[
+        SupportBody | None,
+        Field(
+            description="pushes of the object that were observed, for a model that learns an object from examples",
+            examples=[SUPPORT_EXAMPLE],
+        ),
+    ] = None
+
     @property
     def key(self) -> ContextKey | None:
         """Return the content of a context whose tensors can be cached, else None: a descriptor, or an outline alone."""
-        if self.indicator is not None or self.visual is not None or self.image is not None:
+        if self.indicator is not None or self.visual is not None or self.image is not None or self.support is not None:
             return None
         if self.outline is None:
             details = self.metres_per_pixel, self.centre_of_mass, self.friction, self.pusher_radius, self.pressure
@@ -189,6 +205,8 @@ class ContextBody(ShapeDetails):
         self._check_details(given[0], where)
         if self.outline is not None:
             return self.shape(read_outline(self.outline, f"{where}.outline"), where), ()
+        if self.support is not None:
+            return self.support.to_domain(f"{where}.support"), ()
         if self.descriptor is not None:
             return ObjectContext.from_descriptor(self.descriptor, f"{where}.descriptor"), ()
         if self.indicator is not None:

@@ -23,6 +23,7 @@ _DEFAULTS_EXAMPLE = {
     "indicator": "push-indicator",
     "visual": "push-visual",
     "shape": "push-shape",
+    "support": "push-anp",
 }
 
 

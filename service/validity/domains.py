@@ -30,6 +30,11 @@ _WORDS: Final = {
     "weights": ("{} sides of the object have a weight", "sides"),
     "view_mean": ("the mean level of the view is {}", "of white"),
     "view_contrast": ("the levels of the view deviate by {}", "of white"),
+    "support_nearest_start_m": ("a push of the support starts {} m from the object's centre", "m"),
+    "support_furthest_start_m": ("a push of the support starts {} m from the object's centre", "m"),
+    "support_furthest_aim_m": ("a push of the support passes the object's centre at {} m", "m"),
+    "support_furthest_move_m": ("a push of the support moved the object by {} m", "m"),
+    "support_largest_turn_rad": ("a push of the support turned the object by {} rad", "rad"),
     "size_m": ("the object's size, its root mean square radius, is {} m", "m"),
     "friction": ("the friction is {}", ""),
     "pusher_radius_over_size": ("the tip's radius is {} sizes of the object", "sizes"),
@@ -80,6 +85,8 @@ def object_features(kind: ContextKind, tensors: Sequence[FloatArray]) -> dict[st
         return {"weights": float(weight_counts(tensors[0][None])[0])}
     if kind is ContextKind.VISUAL:
         return {"view_mean": float(tensors[0].mean()), "view_contrast": float(tensors[0].std())}
+    if kind is ContextKind.SUPPORT:
+        return _support_features(*(tensor.astype(np.float64) for tensor in tensors))
     body = dict(zip(BODY, ShapeTensors(*tensors).body.tolist(), strict=True))
     off = math.hypot(body["centre_of_mass_x"] - body["centroid_x"], body["centre_of_mass_y"] - body["centroid_y"])
     size_m = body["size"]
@@ -88,6 +95,20 @@ def object_features(kind: ContextKind, tensors: Sequence[FloatArray]) -> dict[st
         "friction": body["friction"],
         "pusher_radius_over_size": body["pusher_radius"] / size_m,
         "centre_of_mass_over_size": off / size_m,
+    }
+
+
+def _support_features(pushers: DoubleArray, outcomes: DoubleArray, valid: DoubleArray) -> dict[str, float]:
+    """Return the features of a support: pushers and outcomes (50, 3), of which those count that are valid (50,)."""
+    given = valid > 0.0
+    features = push_features(np.pad(pushers[given], ((0, 0), (0, 1))), np.zeros(2))
+    moved_m = np.hypot(*outcomes[given, :2].T)
+    return {
+        "support_nearest_start_m": float(features[START_DISTANCE].min()),
+        "support_furthest_start_m": float(features[START_DISTANCE].max()),
+        "support_furthest_aim_m": float(features[AIM_OFFSET].max()),
+        "support_furthest_move_m": float(moved_m.max()),
+        "support_largest_turn_rad": float(np.abs(outcomes[given, 2]).max()),
     }
 
 

@@ -35,6 +35,7 @@ from service.validity.omnipush import is_omnipush, unlike_omnipush
 from service.validity.pictures import PICTURES, flags_of
 
 NO_WARNINGS: Final[tuple[AnswerWarning, ...]] = ()
+_FORMLESS: Final = (ContextKind.NONE, ContextKind.SUPPORT)  # nothing is known of the object's form
 _SIZE: Final = BODY.index("size")
 _TURN_RAD: Final = 2.0 * math.pi
 _NEAREST_M, _FURTHEST_M = RING.ranges[START_DISTANCE]
@@ -136,7 +137,7 @@ def _is_plain(
             return False
     if kind is ContextKind.SHAPE:
         return any(mean)
-    if kind is ContextKind.NONE:
+    if kind in _FORMLESS:
         return True
     known = known_object(kind, key)
     length = pusher[3] if len(pusher) > 3 else PUSH_LENGTH_M

@@ -98,6 +98,18 @@ def none_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe
 
 
 @pytest.fixture(scope="session")
+def support_run(tmp_path_factory: pytest.TempPathFactory, data_folder: Path, recipe: "Recipe") -> Path:
+    """Finished run of a neural process for serving on the synthetic pushes. Tests must not change it."""
+    from training.fitting.samples import read_training_data
+    from training.fitting.training_loop import fit
+
+    folder = tmp_path_factory.mktemp("support")
+    process = replace(recipe, name="push-anp", method="ANP", context="support", angle="push-frame", least_std=0.01)
+    fit(process, read_training_data(process.split(), process.context_kind, data_folder), folder, quiet=True)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def viewed_pushes(data_folder: Path) -> Pushes:
     """Synthetic pushes with made-up views: noise of its own for each object."""
     pushes = read_folder(data_folder)

@@ -20,11 +20,14 @@ from training.fitting.evaluation import evaluate as evaluate_network
 from training.fitting.recipe import SET_UPS, SHAPE_SET_UPS, Recipe, read_recipe
 from training.fitting.run_folder import Network, load_run
 from training.fitting.samples import read_pushes, read_training_data
+from training.fitting.support_evaluation import SupportFigures, evaluate_supports
 from training.fitting.training_loop import fit
+from training.networks.neural_process import NeuralProcess
 from training.networks.push_network import PushNetwork
 from training.omnipush.layout import DEFAULT_DATA, data_options
 from training.omnipush.views import convention_of, views_beside
 from training.publishing.publish import publish as publish_network
+from training.publishing.support_publish import publish_supports
 
 RUNS: Final = Path("runs")
 
@@ -36,7 +39,7 @@ RUNS: Final = Path("runs")
 @option("--run", type=FOLDER, help="Run folder. [default: runs/RECIPE]")
 @option("--set-up", type=click.Choice([*SET_UPS, *SHAPE_SET_UPS]), help="Set-up to train on instead of the recipe's.")
 def fit_recipe(recipe: str, folder: Path | None, views: Path | None, run: Path | None, set_up: str | None) -> None:
-    """Train a RECIPE: one that ships (push-indicator, push-visual, push-none, push-shape, paper) or a .toml file.
+    """Train a RECIPE: push-indicator, push-visual, push-none, push-shape, push-anp, paper, or a .toml file.
 
     \b
     To serve a model of all objects, with the figures of a run of RECIPE that held some out:
@@ -81,6 +84,8 @@ def evaluate(run: Path, folder: Path | None, views: Path | None) -> None:
     source = data.origin.get("held_out_source", data.origin["source"])
     echo(f"{recipe.method}, {recipe.epochs} epochs, {split.name}: {len(split.test)} held-out objects of {source}")
     echo_lines(_figures(evaluate_network(network, data.held_out)))
+    if isinstance(network, NeuralProcess) and recipe.context_kind is ContextKind.SUPPORT:
+        echo_lines(_by_support(evaluate_supports(network, data.held_out)))
     if isinstance(network, PushNetwork):
         found = calibrated(network, data.held_out)
         echo(f"with every deviation times {found.factor:.3f}, a factor from held-out objects:")
@@ -158,7 +163,26 @@ def _publish_omnipush(
                 "--views"
             )
     convention = None if pushes.views is None else convention_of(views or views_beside(folder))
+    if isinstance(network, NeuralProcess) and recipe.context_kind is ContextKind.SUPPORT:
+        others = None if judged is None else (judged[0], _process(judged[1]))
+        return publish_supports(recipe, network, pushes, store, others)
     return publish_network(recipe, network, pushes, store, convention, None if judged is None else judged[:2])
+
+
+def _process(network: Network) -> NeuralProcess:
+    if not isinstance(network, NeuralProcess):
+        raise click.ClickException("the run that was measured is of another method; fit push-anp")
+    return network
+
+
+def _by_support(found: SupportFigures) -> str:
+    """Return a table by the number of pushes in a support, calibrated."""
+    lines = ["pushes in the support     RMSE      NLL   90 % cov.   std times"]
+    for count, each in sorted(found.predictions.items()):
+        figures = each.measures()
+        shares = f"{100 * figures.coverage[0.9]:10.1f} %{found.factors[count]:12.3f}"
+        lines.append(f"{count:21d}{figures.rmse:9.4f}{figures.nll:9.3f}{shares}")
+    return "\n".join(lines)
 
 
 def _bands(kind: str, found: Predictions) -> str:

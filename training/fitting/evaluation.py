@@ -10,7 +10,7 @@ import numpy.typing as npt
 import torch
 
 from service.model.tensors import FloatArray
-from training.fitting.neural_process_step import predict_targets
+from training.fitting.neural_process_step import SUPPORT_PUSHES, predict_targets
 from training.fitting.samples import Samples
 from training.networks.neural_process import NeuralProcess
 from training.networks.push_network import PushNetwork
@@ -84,8 +84,14 @@ def evaluate(network: PushNetwork | NeuralProcess, samples: Samples, leak: bool 
     return predictions(network, samples, leak).measures()
 
 
-def predictions(network: PushNetwork | NeuralProcess, samples: Samples, leak: bool = False) -> Predictions:
-    """Predict samples. A neural process predicts its target pushes from the prior.
+def predictions(
+    network: PushNetwork | NeuralProcess,
+    samples: Samples,
+    leak: bool = False,
+    count: int = SUPPORT_PUSHES,
+    seed: int = 0,
+) -> Predictions:
+    """Predict samples. A neural process predicts its target pushes from the prior, given ``count`` pushes by a seed.
 
     ``leak`` gives a neural process the targets before it predicts them, as the published evaluation does.
     """
@@ -93,7 +99,7 @@ def predictions(network: PushNetwork | NeuralProcess, samples: Samples, leak: bo
     network.eval()
     with torch.inference_mode():
         if isinstance(network, NeuralProcess):
-            found, points = predict_targets(network, samples, leak=leak)
+            found, points = predict_targets(network, samples, seed, leak, count)
             inputs, target, valid = points.inputs, points.targets, points.valid
         else:
             found, inputs = network(samples.inputs, samples.context), samples.inputs

@@ -36,7 +36,7 @@ class Recipe:
 
     name: str  # of the model in the registry
     method: str  # a row of the paper's tables
-    context: str  # kind of context: none, indicator or visual
+    context: str  # kind of context: none, indicator, visual, shape or support
     set_up: str
     epochs: int
     batch_objects: int  # objects per mini-batch, each with all its pushes
@@ -130,6 +130,7 @@ def parse_recipe_record(values: dict[str, Any], where: str) -> Recipe:
         raise DataError(f"{where}: set_up is {values['set_up']!r}; expected one of {', '.join(set_ups)}")
     method = METHODS[values["method"]]
     kinds = [str(kind) for kind in ContextKind if method.takes(kind)]
+    kinds += [str(ContextKind.SUPPORT)] if method.neural_process else []
     kinds += [str(ContextKind.SHAPE)] if method.context_use is ContextUse.MASKED else []
     if values["context"] not in kinds:
         accepted = f"{' or '.join(kinds)} with {values['method']}"

@@ -58,7 +58,7 @@ def build_network(recipe: Recipe, shape: Shape) -> Network:
     """Build a recipe's network with fresh weights, drawn from torch's generator."""
     method = recipe.network()
     if method.neural_process:
-        return NeuralProcess(shape.inputs, shape.outputs)
+        return NeuralProcess(shape.inputs, shape.outputs, PushForm(recipe.angle), recipe.least_std)
     return PushNetwork(method, shape, PushForm(recipe.angle), recipe.least_std, recipe.encoder_channels)
 
 

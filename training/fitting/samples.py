@@ -101,7 +101,7 @@ def contexts(pushes: Pushes, kind: ContextKind) -> FloatArray:
     Raises:
         DataError: the kind is visual and the pushes were read without views.
     """
-    if kind is ContextKind.NONE:
+    if kind in (ContextKind.NONE, ContextKind.SUPPORT):  # a support is drawn from the pushes
         return np.zeros((len(pushes.descriptors), 0), dtype=np.float32)
     if kind is ContextKind.INDICATOR:
         return pushes.indicators

@@ -152,7 +152,7 @@ def _set_gradients(
 ) -> tuple[Tensor, Tensor]:
     """Set the gradients of the loss of a batch. Return likelihood and penalty."""
     if isinstance(network, NeuralProcess):
-        return neural_process_step.set_gradients(network, batch, dtype)
+        return neural_process_step.set_gradients(network, batch, recipe, dtype)
     return sharded_gradients.set_gradients(network, batch, recipe, dtype, shard_map)
 
 

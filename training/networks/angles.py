@@ -29,6 +29,7 @@ FEATURES_ADDED: Final = {PushForm.RAW: 0, PushForm.CIRCULAR: 1, PushForm.PUSH_FR
 _VECTORS: Final = ((1.0, 0.0, 1.0, 0.0), (0.0, 1.0, 0.0, 1.0))
 _DIRECTIONS: Final = ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 1.0, 0.0))
 _PASSING: Final = ((-1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))  # the way to the centre, and the offset
+_TURNING_BACK: Final = ((1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0))  # the other way round
 _TURNING: Final = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, 1.0))  # a vector of the push frame, in the object's
 
 
@@ -81,6 +82,19 @@ def from_push_frame(mean: Tensor, pusher: Tensor) -> Tensor:
     unit = float(known.output_std[0]) / mean.new_tensor(known.output_std[:2])
     place = products(moved, direction) @ (mean.new_tensor(_TURNING) * unit)
     return torch.cat([place, turn], dim=-1) - mean.new_tensor(known.output_mean) / mean.new_tensor(known.output_std)
+
+
+def into_push_frame(outcome: Tensor, pusher: Tensor) -> Tensor:
+    """Turn normalised poses of the object (..., 3) into the frames of their pushes: the inverse of ``from_push_frame``.
+
+    An object at rest is 0.
+    """
+    known = published_normalisation()
+    _, direction = torch.split(circular(pusher), [2, 2], dim=-1)
+    rest = outcome + outcome.new_tensor(known.output_mean) / outcome.new_tensor(known.output_std)
+    moved, turn = torch.split(rest, [2, 1], dim=-1)
+    unit = outcome.new_tensor(known.output_std[:2]) / float(known.output_std[0])
+    return torch.cat([products(moved * unit, direction) @ outcome.new_tensor(_TURNING_BACK), turn], dim=-1)
 
 
 def products(vectors: Tensor, directions: Tensor) -> Tensor:

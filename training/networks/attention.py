@@ -7,7 +7,7 @@ products that they come from and go to.
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -38,6 +38,17 @@ class Embedded:
         return functional.linear(self.points, following.weight @ weight, following.weight @ bias + following.bias)
 
 
+class Memory(NamedTuple):
+    """Keys and values of an attention, by head: (objects, 4, m, 32) each."""
+
+    key: Tensor
+    value: Tensor
+
+    def of(self, index: Tensor) -> "Memory":
+        """Return the memories of some objects (n,), in this order."""
+        return Memory(torch.index_select(self.key, 0, index), torch.index_select(self.value, 0, index))
+
+
 class Attention(nn.Module):
     """Multi-head attention, then dropout, the sum with the queries, and layer norm."""
 
@@ -50,11 +61,18 @@ class Attention(nn.Module):
         self, queries: Tensor | Embedded, keys: Tensor | Embedded, values: Tensor | Embedded, valid: Tensor
     ) -> Tensor:
         """Attend from queries (objects, n, 128) to keys and values (objects, m, 128) where valid (objects, m)."""
-        query, key, value = (
-            _split_heads(given.embed_through(layer) if isinstance(given, Embedded) else layer(given))
-            for layer, given in ((self.query, queries), (self.key, keys), (self.value, values))
+        return self.answer(queries, self.memory(keys, values), valid)
+
+    def memory(self, keys: Tensor | Embedded, values: Tensor | Embedded) -> Memory:
+        """Compute the part that does not depend on queries."""
+        return Memory(_split_heads(_through(keys, self.key)), _split_heads(_through(values, self.value)))
+
+    def answer(self, queries: Tensor | Embedded, memory: Memory, valid: Tensor) -> Tensor:
+        """Attend from queries (objects, n, 128) to a memory where valid (objects, m)."""
+        query = _split_heads(_through(queries, self.query)).flatten(0, 1) / math.sqrt(_HEAD_WIDTH)
+        attended = self.mixture(
+            _merge_heads(attend(query, memory.key.flatten(0, 1), memory.value.flatten(0, 1), valid))
         )
-        attended = self.mixture(_merge_heads(attend(query / math.sqrt(_HEAD_WIDTH), key, value, valid)))
         residual = queries.embed() if isinstance(queries, Embedded) else queries
         result: Tensor = self.norm(residual + (dropout(attended) if self.training else attended))
         return result
@@ -87,9 +105,15 @@ def dropout(value: Tensor) -> Tensor:
     return value * (kept / (1.0 - DROPOUT))
 
 
+def _through(given: Tensor | Embedded, layer: nn.Linear) -> Tensor:
+    """Apply a layer (objects, n, 128)."""
+    result: Tensor = given.embed_through(layer) if isinstance(given, Embedded) else layer(given)
+    return result
+
+
 def _split_heads(value: Tensor) -> Tensor:
-    """Reshape (objects, n, 128) to (objects * 4, n, 32)."""
-    return value.view(*value.shape[:2], HEADS, _HEAD_WIDTH).transpose(1, 2).flatten(0, 1)
+    """Reshape (objects, n, 128) to (objects, 4, n, 32)."""
+    return value.view(*value.shape[:2], HEADS, _HEAD_WIDTH).transpose(1, 2)
 
 
 def _merge_heads(value: Tensor) -> Tensor:

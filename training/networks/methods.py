@@ -30,14 +30,16 @@ class Method:
     name: str
     context_use: ContextUse = ContextUse.NONE
     distance: ContextDistance = ContextDistance.NONE
-    neural_process: bool = False  # needs support pushes of the object: not zero-shot, and never served
+    neural_process: bool = False  # needs support pushes of the object: not zero-shot
 
     def takes(self, kind: str) -> bool:
-        """Return whether the method is trained with contexts of this kind. Methods without a context take ``none``.
+        """Return whether the paper trains the method with contexts of this kind. Methods without one take ``none``.
 
-        The paper's tables have no shapes.
+        The paper's tables have no shapes, and draw the support of a neural process from its pushes.
         """
-        return kind != ContextKind.SHAPE and (kind == ContextKind.NONE) == (self.context_use is ContextUse.NONE)
+        return kind not in (ContextKind.SHAPE, ContextKind.SUPPORT) and (kind == ContextKind.NONE) == (
+            self.context_use is ContextUse.NONE
+        )
 
 
 ANP: Final = "ANP"

@@ -2,7 +2,8 @@
 
 A push is familiar if it starts and aims as the training pushes do. An object is familiar by its number of weights if
 its context is an indicator, and by its view if it is a picture: views are compared free of exposure, in the space of
-the drawings and camera views of the training objects, and their exposure by itself.
+the drawings and camera views of the training objects, and their exposure by itself. An object that is known by a
+support of some of its pushes is familiar if each of these starts, aims and ends as training pushes do.
 """
 
 from typing import Final
@@ -17,6 +18,16 @@ from training.networks.familiarity import FeatureRanges, FeatureSpace
 
 PUSH_FEATURES: Final = ("start_distance_m", "aim_offset_m")
 _AIM: Final = PUSH_FEATURES.index("aim_offset_m")
+SUPPORT_FEATURES: Final = (
+    "support_nearest_start_m",
+    "support_furthest_start_m",
+    "support_furthest_aim_m",
+    "support_furthest_move_m",
+    "support_largest_turn_rad",
+)
+SUPPORT_MARGIN: Final = 0.05
+_SIDED: Final = slice(2, None)  # of which training pushes only come close to zero
+_FAR_M: Final = 1e3  # beyond every push
 WEIGHT_FEATURES: Final = ("weights",)
 EXPOSURE_FEATURES: Final = ("view_mean", "view_contrast")
 VIEW_AXES: Final = 96
@@ -80,8 +91,44 @@ class OmnipushDomain(nn.Module):
         return torch.maximum(self.views(without_exposure(context)), self.objects(exposure(context)))
 
 
+class SupportDomain(nn.Module):
+    """Distances of pushes, and of the supports of objects, from the pushes that a model was trained on."""
+
+    def __init__(self) -> None:
+        """Create a domain. Until ``fit``, nothing is familiar."""
+        super().__init__()
+        self.pushes = FeatureRanges(PUSH_FEATURES)
+        self.supports = FeatureRanges(SUPPORT_FEATURES)
+
+    def fit(self, pushers: Tensor, outcomes: Tensor) -> "SupportDomain":
+        """Fit the domain to training pushes and outcomes (n, 3), in m, m, rad."""
+        self.pushes.fit(push_features(pushers))
+        self.pushes.low[_AIM] = -self.pushes.high[_AIM]  # on either side; training pushes only come close to zero
+        single = support_features(pushers[:, None], outcomes[:, None], torch.ones(len(pushers), 1))
+        self.supports.fit(single, margin=SUPPORT_MARGIN)
+        self.supports.low[_SIDED] = -self.supports.high[_SIDED]
+        return self
+
+    def forward(self, pushers: Tensor, index: Tensor, support: tuple[Tensor, Tensor, Tensor]) -> Tensor:
+        """Return the distances (n, 2) of pushes (n, 3), and of the supports ``support[index]``."""
+        push, known = self.pushes(push_features(pushers)), self.supports(support_features(*support))
+        return torch.stack([push, torch.index_select(known, 0, index)], dim=-1)
+
+    def ranges(self) -> dict[str, list[float]]:
+        """Return [low, high] of each named feature, for the manifest."""
+        return self.pushes.ranges() | self.supports.ranges()
+
+
+def support_features(pushers: Tensor, outcomes: Tensor, valid: Tensor) -> Tensor:
+    """Return the features (objects, 5) of supports: pushers and outcomes (objects, k, 3), valid (objects, k)."""
+    start, aim = push_features(pushers).unbind(-1)
+    moved, turned = torch.linalg.vector_norm(outcomes[..., :2], dim=-1), torch.abs(outcomes[..., 2])
+    nearest = (start + (1.0 - valid) * _FAR_M).amin(dim=-1)
+    return torch.stack([nearest, *((each * valid).amax(dim=-1) for each in (start, aim, moved, turned))], dim=-1)
+
+
 def push_features(pushers: Tensor) -> Tensor:
-    """Return the features (n, 2) of pushes (n, 3): distance of the start from the centre, and of the line from it."""
+    """Return the features (..., 2) of pushes (..., 3): distance of the start from the centre, and of the line."""
     place_m, angle_rad = torch.split(pushers, [2, 1], dim=-1)
     direction = torch.cat([torch.cos(angle_rad), torch.sin(angle_rad)], dim=-1)
     aim_m = torch.abs(products(place_m, direction) @ pushers.new_tensor(_OFFSET))

@@ -39,6 +39,7 @@ PUSH_SHAPES: Final = {
     ContextKind.NONE: Shape((0,)),
     ContextKind.INDICATOR: Shape((INDICATOR_LENGTH,)),
     ContextKind.VISUAL: Shape((1, VISUAL_SIZE, VISUAL_SIZE)),
+    ContextKind.SUPPORT: Shape((0,)),  # a neural process draws it from the pushes
     ContextKind.SHAPE: Shape((CONTEXT_INPUTS,), PUSH_INPUTS),
 }
 
@@ -46,6 +47,12 @@ PUSH_SHAPES: Final = {
 def bounded(log_std: Tensor) -> Tensor:
     """Clamp a log std to the limits. Only for fitted networks: a clamped value has no gradient to train with."""
     return log_std.clamp(-LOG_STD_LIMIT, LOG_STD_LIMIT)
+
+
+def at_least(log_std: Tensor, least_std: float) -> Tensor:
+    """Add a least std: log(exp(s) + least), in a form that does not overflow."""
+    least = math.log(least_std)
+    return least + functional.softplus(log_std - least)
 
 
 class Prediction(NamedTuple):
@@ -156,7 +163,4 @@ class PushNetwork(nn.Module):
         mean, log_std = out.chunk(2, dim=-1)
         mean = from_push_frame(mean, pusher) if self.form is PushForm.PUSH_FRAME else mean
         log_std = log_std if self.training else bounded(log_std)
-        if self.least_std > 0.0:  # log(exp(s) + least), in a form that does not overflow
-            least = math.log(self.least_std)
-            log_std = least + functional.softplus(log_std - least)
-        return mean, log_std
+        return mean, log_std if self.least_std == 0.0 else at_least(log_std, self.least_std)

@@ -7,7 +7,7 @@ from service.pushing.poses import POSE_NAMES
 from training.fitting.bands import bands
 from training.fitting.evaluation import Evaluation, Predictions
 
-_MEASURED_ELSEWHERE: Final = (
+MEASURED_ELSEWHERE: Final = (
     "This version was trained on every object, so it has no held-out objects of its own. These figures are of the same "
     "recipe trained on `{set_up}` and measured there. This version was trained on more objects.\n\n"
 )
@@ -25,7 +25,7 @@ def render_card(draft: Manifest, figures: dict[str, Predictions], parity: float)
     """
     data, recipe = draft.data, draft.recipe
     set_up = next(iter(figures))
-    notice = "" if set_up == data.split else _MEASURED_ELSEWHERE.format(set_up=set_up)
+    notice = "" if set_up == data.split else MEASURED_ELSEWHERE.format(set_up=set_up)
     found = {name: each.measures() for name, each in figures.items()}
     sharpness = dict(zip(POSE_NAMES, found[set_up].sharpness, strict=True))
     return f"""# {draft.name}
@@ -57,7 +57,7 @@ RMSE, STD and NLL are in units of the published standard deviations. NLL is per 
 Coverage is the share of true values inside the central interval. Mean predicted std: x {1000 * sharpness["x"]:.2f} mm,
 y {1000 * sharpness["y"]:.2f} mm, angle {sharpness["angle"]:.4f} rad.{_CAMERA_NOTE if len(figures) > 1 else ""}
 
-{chr(10).join(_bands_table(name, each) for name, each in figures.items())}
+{chr(10).join(bands_table(name, each) for name, each in figures.items())}
 Start is the distance of the tip from the object's centre before the push, aim that of the push's line.
 
 ## Domain
@@ -67,7 +67,7 @@ graph has the distance of each push, and of its object, from the training data: 
 
 | feature | lowest | highest |
 |---|---|---|
-{_ranges(draft)}
+{ranges_table(draft)}
 
 ## Limits
 
@@ -83,7 +83,7 @@ def _row(name: str, found: Evaluation) -> str:
     return f"| {name} | {found.rmse:.4f} | {found.std:.4f} | {found.distance_mm:.2f} | {found.nll:.3f} | {coverage} |"
 
 
-def _bands_table(name: str, found: Predictions) -> str:
+def bands_table(name: str, found: Predictions) -> str:
     """Return the table of coverage by ring of starts and band of aims."""
     lines = [f"| {name} | pushes | RMSE | 50 % coverage | 90 % coverage | 95 % coverage |", "|---|---|---|---|---|---|"]
     for band in bands(found):
@@ -92,7 +92,8 @@ def _bands_table(name: str, found: Predictions) -> str:
     return "\n".join([*lines, ""])
 
 
-def _ranges(draft: Manifest) -> str:
+def ranges_table(draft: Manifest) -> str:
+    """Return the rows of the table of the domain."""
     ranges = {} if draft.validity is None else draft.validity.ranges
     return "\n".join(f"| {name} | {low:.4g} | {high:.4g} |" for name, (low, high) in ranges.items())
 

@@ -14,11 +14,13 @@ import torch
 from torch import Tensor, nn
 
 from service.errors import PublishError
+from service.model.predictor import ROWS_AT_ONCE
 from service.model.tensors import ContextKind
 from service.model.tensors import Tensor as TensorRecord
 from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from training.networks.angles import PushForm, wrapped
-from training.networks.omnipush_domain import OmnipushDomain
+from training.networks.neural_process import NeuralProcess, Points
+from training.networks.omnipush_domain import OmnipushDomain, SupportDomain
 from training.networks.push_network import PushNetwork
 from training.omnipush.published import published_normalisation
 from training.publishing.parity_inputs import graph_inputs, plausible_batch
@@ -68,6 +70,69 @@ class ServedNetwork(nn.Module):
         given = wrap_last(pusher) if self.network.form is PushForm.RAW else pusher  # the others take cosine and sine
         mean, log_std = self.network.gaussian((given - self.input_mean) / self.input_std, conditioning)
         return mean * self.output_std + self.output_mean, torch.exp(log_std) * (self.output_std * self.scale)
+
+
+class ServedProcess(nn.Module):
+    """Neural process with SI units in and out, of pushes whose objects are known by supports.
+
+    Every object is learnt once, and each push meets what is known of its own. Deviations are the network's times the
+    factor of the number of pushes in the support: ``scales`` has one factor for each of 0 to 50.
+    """
+
+    def __init__(self, network: NeuralProcess, domain: SupportDomain, scales: Tensor) -> None:
+        super().__init__()
+        self.network = network
+        self.domain = domain
+        self.scales = nn.Buffer(scales)
+        known = published_normalisation()
+        self.input_mean, self.input_std, self.output_mean, self.output_std = (
+            nn.Buffer(torch.tensor(value, dtype=torch.float32))
+            for value in (known.input_mean, known.input_std, known.output_mean, known.output_std)
+        )
+
+    def forward(
+        self,
+        pusher: Tensor,
+        support_pushers: Tensor,
+        support_outcomes: Tensor,
+        support_valid: Tensor,
+        context_index: Tensor,
+    ) -> tuple[Tensor, ...]:
+        """Predict mean, std (n, 3) and unfamiliarity (n, 2) of pushes (n, 3).
+
+        Pushers and outcomes of supports are (g, 50, 3). They are valid (g, 50) where they are not padding.
+        """
+        mean, std = self.before_wrapping(pusher, support_pushers, support_outcomes, support_valid, context_index)
+        support = _padded(support_pushers), _padded(support_outcomes), _padded(support_valid)
+        return wrap_last(mean), std, self.domain(pusher, context_index, support)
+
+    def before_wrapping(
+        self,
+        pusher: Tensor,
+        support_pushers: Tensor,
+        support_outcomes: Tensor,
+        support_valid: Tensor,
+        context_index: Tensor,
+    ) -> tuple[Tensor, Tensor]:
+        """Predict like ``forward``, with the mean angle before wrapping, to which rounding errors are in proportion."""
+        support_pushers, support_outcomes, support_valid = map(
+            _padded, (support_pushers, support_outcomes, support_valid)
+        )
+        inputs, support_inputs = ((given - self.input_mean) / self.input_std for given in (pusher, support_pushers))
+        targets = (support_outcomes - self.output_mean) / self.output_std
+        objects = self.network.adapted(Points(support_inputs, targets, support_valid))
+        mean, log_std = self.network.predict(objects.of(context_index), inputs[:, None, :])
+        scale = torch.index_select(self.scales[support_valid.sum(dim=-1).long()], 0, context_index)
+        std = torch.exp(log_std[:, 0]) * self.output_std * scale[:, None]
+        return mean[:, 0] * self.output_std + self.output_mean, std
+
+
+def _padded(support: Tensor) -> Tensor:
+    """Pad a support (g, 50, ...) with zeros to rows that are a multiple of ``ROWS_AT_ONCE``.
+
+    Then an object gets the same bits beside any other objects (see there).
+    """
+    return torch.cat([support, 0.0 * support[:, : -support.shape[1] % ROWS_AT_ONCE]], dim=1)
 
 
 def wrap_last(pose: Tensor) -> Tensor:

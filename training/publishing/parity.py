@@ -9,11 +9,11 @@ from torch import nn
 
 from service.errors import PublishError
 from service.model.predictor import OnnxPredictor
-from service.model.tensors import ContextKind, FloatArray
+from service.model.tensors import ContextKind, FloatArray, Tensor
 from service.pushing.onnx_interface import OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from training.networks.omnipush_domain import OmnipushDomain
 from training.networks.push_network import PushNetwork
-from training.publishing.onnx_export import ServedNetwork, graph_outputs
+from training.publishing.onnx_export import ServedNetwork, ServedProcess, graph_outputs
 from training.publishing.parity_inputs import Batch, extreme_batch, graph_inputs, plausible_batch
 
 # Torch and onnxruntime add in another order, so float32 leaves a few units in the sixth digit. One tolerance holds for
@@ -71,8 +71,19 @@ def check_parity(
     Raises:
         PublishError: a difference is over the tolerance.
     """
-    predictor = OnnxPredictor(model, expected_inputs(kind), graph_outputs(domain))
-    served = ServedNetwork(network, domain, scale).eval()
+    return check_served_parity(ServedNetwork(network, domain, scale), model, kind, graph_outputs(domain))
+
+
+def check_served_parity(
+    served: ServedNetwork | ServedProcess, model: bytes, kind: ContextKind, outputs: tuple[Tensor, ...]
+) -> float:
+    """Check like ``check_parity`` a module that takes the inputs of a graph and returns its outputs.
+
+    Raises:
+        PublishError: a difference is over the tolerance.
+    """
+    predictor = OnnxPredictor(model, expected_inputs(kind), outputs)
+    served.eval()
 
     def largest_difference(batch: Batch) -> float:
         """Return the largest difference for this batch."""

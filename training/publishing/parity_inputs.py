@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from service.model.tensors import ContextKind, FloatArray, IndexArray
-from service.pushing.contexts import VISUAL_SIZE
+from service.pushing.contexts import MAX_SUPPORT, VISUAL_SIZE, SupportContext
 from service.pushing.outlines import Outline
-from service.pushing.poses import wrap_angles
+from service.pushing.poses import DoubleArray, wrap_angles
 from service.pushing.shape_context import CORNERS, ShapeContext
 
 
@@ -17,7 +17,7 @@ class Batch:
     """Inputs of a graph."""
 
     pusher: FloatArray  # (n, 3), or (n, 4) for shapes
-    contexts: tuple[FloatArray, ...]  # (g, 36), (g, 1, 32, 32), or the tensors of shapes. Empty for none
+    contexts: tuple[FloatArray, ...]  # (g, 36), (g, 1, 32, 32), or the tensors of shapes or supports
     context_index: IndexArray  # (n,)
 
 
@@ -25,10 +25,7 @@ def plausible_batch(kind: ContextKind, pushes: int, objects: int, seed: int = 0)
     """Draw plausible pushes of random objects, the same for the same seed."""
     rng = np.random.default_rng(seed)
     contexts = _random_contexts(kind, rng, objects)
-    bearing = rng.uniform(-math.pi, math.pi, pushes)
-    start = 0.08 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
-    angle = bearing + math.pi + rng.uniform(-0.3, 0.3, pushes)
-    columns = [start, wrap_angles(angle)]
+    columns = [_towards_centre(rng, pushes)]
     if kind is ContextKind.SHAPE:
         columns.append(rng.uniform(0.01, 0.1, pushes))
     pusher = np.column_stack(columns).astype(np.float32)
@@ -43,9 +40,12 @@ def _random_contexts(kind: ContextKind, rng: np.random.Generator, objects: int) 
             return (_random_indicators(rng, objects),)
         case ContextKind.VISUAL:
             return (_random_views(rng, objects),)
+        case ContextKind.SUPPORT:
+            supports = [_random_support(rng).tensors() for _ in range(objects)]
+            return tuple(map(np.stack, zip(*supports, strict=True)))
         case ContextKind.SHAPE:
-            found = [_random_shape(rng).tensors() for _ in range(objects)]
-            return tuple(map(np.stack, zip(*found, strict=True)))
+            shapes = [_random_shape(rng).tensors() for _ in range(objects)]
+            return tuple(map(np.stack, zip(*shapes, strict=True)))
 
 
 def _random_shape(rng: np.random.Generator) -> ShapeContext:
@@ -60,6 +60,21 @@ def _random_shape(rng: np.random.Generator) -> ShapeContext:
         float(rng.uniform(0.1, 0.5)) if known[1] else None,
         float(rng.uniform(0.003, 0.01)) if known[2] else None,
     )
+
+
+def _random_support(rng: np.random.Generator) -> SupportContext:
+    """Draw a support of 1 to 50 pushes from all around, with outcomes of up to 50 mm and half a radian."""
+    count = int(rng.integers(1, MAX_SUPPORT + 1))
+    outcomes = rng.uniform(-1.0, 1.0, (count, 3)) * (0.035, 0.035, 0.5)
+    return SupportContext.of(_towards_centre(rng, count), outcomes)
+
+
+def _towards_centre(rng: np.random.Generator, pushes: int) -> DoubleArray:
+    """Draw pushes (n, 3) that start 80 mm from the centre and head towards it."""
+    bearing = rng.uniform(-math.pi, math.pi, pushes)
+    start = 0.08 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    angle = bearing + math.pi + rng.uniform(-0.3, 0.3, pushes)
+    return np.column_stack([start, wrap_angles(angle)])
 
 
 def _random_indicators(rng: np.random.Generator, objects: int) -> FloatArray:

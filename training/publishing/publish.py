@@ -74,15 +74,15 @@ def publish(
     """
     kind, split = recipe.context_kind, recipe.split()
     measured_recipe, measured_network = measured or (recipe, network)
-    set_up = _measured_split(recipe, measured_recipe)
+    set_up = measured_split(recipe, measured_recipe)
     if (
         not isinstance(network, PushNetwork)
         or not isinstance(measured_network, PushNetwork)
         or set_up.test_surface is not None
     ):
         raise DataError(
-            f"{recipe.method} on {split.name} is not published: a served model is zero-shot, and measured on the "
-            "surface it was trained on; publish another method, or a run of another set-up"
+            f"{recipe.method} on {split.name} is not published: a served model takes a context, or is measured "
+            "without one, on the surface it was trained on; publish a run of another recipe (ANP: push-anp)"
         )
     train, held_out = pushes.select(split.train), pushes.select(set_up.test)
     samples = Samples.of(held_out, kind)
@@ -98,7 +98,7 @@ def publish(
     draft = draft_of(
         recipe,
         graph_outputs(domain),
-        data=_data_record(pushes, split, train, held_out),
+        data=data_record(pushes, split, train, held_out),
         metrics=metrics,
         calibration={name: calibration_of(each, found.factor) for name, each in figures.items()},
         self_check=self_check_of(model, kind, graph_outputs(domain), batch),
@@ -191,7 +191,8 @@ def _validity(domain: OmnipushDomain) -> Validity:
     )
 
 
-def _data_record(pushes: Pushes, split: Split, train: Pushes, held_out: Pushes) -> DataRecord:
+def data_record(pushes: Pushes, split: Split, train: Pushes, held_out: Pushes) -> DataRecord:
+    """Return the record of the data of a run."""
     return DataRecord(
         source=pushes.source,
         sha256=pushes.digest,
@@ -203,7 +204,7 @@ def _data_record(pushes: Pushes, split: Split, train: Pushes, held_out: Pushes) 
     )
 
 
-def _measured_split(recipe: Recipe, measured: Recipe) -> Split:
+def measured_split(recipe: Recipe, measured: Recipe) -> Split:
     """Return the split on which a version is measured.
 
     Raises:

@@ -4,12 +4,15 @@ Promotion compares a version with the champion by figures of the same data. So t
 measured again on the held-out data of the version that is published.
 """
 
+from collections.abc import Iterator
+
 import numpy as np
 import torch
 
 from service.errors import CazslError
 from service.model.manifest import Calibration, Metrics, Rival
 from service.model.predictor import OnnxPredictor, Predictor
+from service.model.tensors import FloatArray, Gaussians, IndexArray
 from service.registry.loading import load_version
 from service.registry.registry import Registry
 from training.fitting.bands import LEVEL, held_out_views
@@ -41,11 +44,7 @@ def calibration_of(found: Predictions, factor: float | None = None) -> Calibrati
 def rivals_of(registry: Registry, name: str, set_up: Split, samples: Samples) -> dict[str, Rival] | None:
     """Measure the versions that aliases name on these held-out samples. Those that do not load are left out."""
     found = {}
-    for version in _named(registry, name):
-        try:
-            predictor = load_version(registry, OnnxPredictor, name, version).predictor
-        except CazslError:
-            continue
+    for version, predictor in named_predictors(registry, name):
         measured = {
             measured_name(set_up, views): joined([predicted(predictor, seen) for seen in each])
             for views, each in held_out_views(samples).items()
@@ -57,6 +56,15 @@ def rivals_of(registry: Registry, name: str, set_up: Split, samples: Samples) ->
     return found or None
 
 
+def named_predictors(registry: Registry, name: str) -> Iterator[tuple[int, Predictor]]:
+    """Yield the versions that aliases name, with their predictors. Those that do not load are left out."""
+    for version in _named(registry, name):
+        try:
+            yield version, load_version(registry, OnnxPredictor, name, version).predictor
+        except CazslError:
+            continue
+
+
 def predicted(predictor: Predictor, samples: Samples) -> Predictions:
     """Return the predictions of a published version, normalised."""
     known = published_normalisation()
@@ -65,10 +73,16 @@ def predicted(predictor: Predictor, samples: Samples) -> Predictions:
     objects = torch.nonzero(present)[:, 0].numpy()
     pushers = (inputs * known.input_std + known.input_mean).astype(np.float32)
     contexts = (samples.context.numpy(),) if samples.context.shape[-1] > 0 else ()
-    mean, std, _ = predictor.predict(pushers, contexts, objects if contexts else None)
-    normalised = ((mean - known.output_mean) / known.output_std).astype(np.float32)
-    log_std = np.log(std / known.output_std).astype(np.float32)
-    return Predictions(normalised, log_std, outcome, inputs, objects, samples.target_std)
+    found = predictor.predict(pushers, contexts, objects if contexts else None)
+    return normalised(found, outcome, inputs, objects)
+
+
+def normalised(found: Gaussians, outcome: FloatArray, inputs: FloatArray, objects: IndexArray) -> Predictions:
+    """Return predictions in SI units beside outcomes and inputs (n, 3), which are normalised already."""
+    known = published_normalisation()
+    mean = ((found.mean - known.output_mean) / known.output_std).astype(np.float32)
+    log_std = np.log(found.std / known.output_std).astype(np.float32)
+    return Predictions(mean, log_std, outcome, inputs, objects, tuple(known.output_std.tolist()))
 
 
 def _named(registry: Registry, name: str) -> list[int]:

@@ -5,7 +5,7 @@ and body are of the same object is the client's part. ``service.pushing.shape_co
 """
 
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from service.inference.query import ContextBatch
 from service.model.manifest import Manifest
 from service.model.tensors import ContextKind, FloatArray
 from service.pushing.contexts import ObjectContext, index_contexts
+from service.pushing.poses import REACH_M, wrap_angles
 from service.pushing.shape_context import BODY, SHAPE_REACH_M
 
 CONTEXT: Final = "context"
@@ -125,6 +126,26 @@ def _supports(given: Array) -> FloatArray:
     return given.astype(np.float32)
 
 
+def _poses(name: str, given: Array) -> FloatArray:
+    """Return the poses of supports (g, 50, 3), pushers or outcomes, with wrapped angles."""
+    far = np.abs(given[..., :2]) > REACH_M
+    if far.any():
+        place = ", ".join(str(int(part)) for part in np.argwhere(far)[0])
+        accepted = f"-{REACH_M:g} to {REACH_M:g} m along each of the object's axes, and 0 in rows without a push"
+        raise InvalidRequestError.at(f"inputs {name}[{place}]", "a coordinate out of reach", accepted)
+    poses = given.astype(np.float64)
+    poses[..., 2] = wrap_angles(poses[..., 2])
+    return poses.astype(np.float32)
+
+
+def _valid_pushes(given: Array) -> FloatArray:
+    """Return (g, 50) ones for the pushes of supports, and zeros for rows without one."""
+    if not np.isin(given, _FLAG).all() or given.max(axis=1).min() < 1.0:
+        accepted = "1 for a push and 0 for a row without one, with at least one push of every object"
+        raise InvalidRequestError.at("inputs support_valid", "other values, or an object without a push", accepted)
+    return given.astype(np.float32)
+
+
 def _bodies(given: Array) -> FloatArray:
     """Return the values of bodies (g, 11)."""
     for column, name in enumerate(BODY):
@@ -145,4 +166,7 @@ _CHECKS: Final[dict[tuple[ContextKind, str], Callable[[Array], FloatArray]]] = {
     (ContextKind.SHAPE, "outline"): _outlines,
     (ContextKind.SHAPE, "support"): _supports,
     (ContextKind.SHAPE, "body"): _bodies,
+    (ContextKind.SUPPORT, "support_pushers"): partial(_poses, "support_pushers"),
+    (ContextKind.SUPPORT, "support_outcomes"): partial(_poses, "support_outcomes"),
+    (ContextKind.SUPPORT, "support_valid"): _valid_pushes,
 }

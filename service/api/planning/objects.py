@@ -8,7 +8,7 @@ from service.errors import InvalidRequestError
 from service.inference.object_model import ObjectModel
 from service.inference.query import ContextBatch
 from service.inference.snapshot import Snapshot
-from service.pushing.contexts import VisualContext
+from service.pushing.contexts import SupportContext, VisualContext
 from service.pushing.outlines import Outline
 from service.pushing.poses import PUSH_LENGTH_M
 from service.pushing.shape_context import PUSHER_RADIUS_M, ShapeContext
@@ -52,8 +52,9 @@ def find_outlined_object(models: Snapshot, request: Prediction, context: Context
         ModelNotReadyError: see ``Snapshot.find``.
     """
     known, flags = context.describe()
-    if isinstance(known, VisualContext):
-        received, accepted = "a view without its scale", "an outline, an image with metres_per_pixel, or a descriptor"
+    if isinstance(known, VisualContext | SupportContext):
+        received = "a view without its scale" if isinstance(known, VisualContext) else "a support, which has no outline"
+        accepted = "an outline, an image with metres_per_pixel, or a descriptor"
         raise InvalidRequestError.at("body.context", received, accepted)
     model = _find(models, request, encode_known(known, flags))
     if isinstance(known, ShapeContext):

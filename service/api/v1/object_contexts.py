@@ -14,7 +14,7 @@ from service.errors import InvalidRequestError
 from service.inference.query import FIRST_CONTEXT, ContextBatch
 from service.model.tensors import ContextKind, FloatArray, IndexArray
 from service.observability.timings import timed
-from service.pushing.contexts import ObjectContext, VisualContext
+from service.pushing.contexts import ObjectContext, SupportContext, VisualContext
 from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode, visual_context
 from service.pushing.shape_context import ShapeContext
@@ -168,7 +168,7 @@ def _encode(context: ContextBody, key: str | ShapeKey | None, where: str) -> tup
 
 def _tensors(known: DomainContext) -> Tensors:
     """Return the tensors (1, ...) of one context, in the order of a model's inputs."""
-    found = known.tensors() if isinstance(known, ShapeContext) else (known.tensor(),)
+    found = known.tensors() if isinstance(known, ShapeContext | SupportContext) else (known.tensor(),)
     return tuple(tensor[None] for tensor in found)
 
 

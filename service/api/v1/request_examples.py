@@ -8,6 +8,7 @@ from typing import Any, Final
 from service.api.v1.uploads import FORM_TYPE, IMAGE_TYPES
 from service.schemas.contexts import IMAGE_EXAMPLE, INDICATOR_EXAMPLE
 from service.schemas.shapes import DETAILS, L_EXAMPLE, OUTLINE_EXAMPLE, SCALE
+from service.schemas.supports import SUPPORT_EXAMPLE
 
 _PUSHER: Final = {"x": -0.075, "y": 0.0, "angle": 0.0}
 _DESCRIPTOR: Final = {"descriptor": "1a2b3c4a"}
@@ -46,6 +47,7 @@ ONE_PUSH: Final = json_examples(
             "context": {"image": IMAGE_EXAMPLE, "metres_per_pixel": 0.0005},
         },
         "an unknown object": {"pusher": _PUSHER},
+        "an object by pushes that were observed": {"pusher": _PUSHER, "context": {"support": SUPPORT_EXAMPLE}},
         "in the world": {
             "pusher": {"x": 0.4, "y": 0.025, "angle": 1.5708},
             "context": _DESCRIPTOR,

@@ -159,7 +159,7 @@ def test_no_default_model_is_not_ready(tmp_path: Path) -> None:
     registry = Registry(tmp_path / "models")
     publish_fake(registry, "zzz")
     publish_fake(registry, alias="canary")
-    assert "no default model has a champion (push-none, push-indicator, push-visual, push-shape)" in str(
+    assert "no default model has a champion (push-none, push-indicator, push-visual, push-shape, push-anp)" in str(
         verdict(registry)
     )
     registry.point_alias("push-indicator", "champion", 1)

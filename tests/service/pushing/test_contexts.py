@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from service.errors import InvalidRequestError
 from service.model.tensors import ContextKind
-from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext, VisualContext, index_contexts
+from service.pushing.contexts import INDICATOR_LENGTH, ObjectContext, SupportContext, VisualContext, index_contexts
 
 sides = st.tuples(st.sampled_from("134"), st.sampled_from("abc")) | st.tuples(st.just("2"), st.sampled_from("abcBC"))
 descriptors = st.lists(sides, min_size=4, max_size=4).map(
@@ -114,6 +114,39 @@ def test_a_visual_context_of_another_size_is_refused(size: int) -> None:
     """A visual context of another size is refused with the received and the accepted number of bytes."""
     with pytest.raises(InvalidRequestError, match=rf"{size} bytes.*1024 bytes"):
         VisualContext.from_bytes(bytes(size))
+
+
+def test_a_support_is_padded_and_says_which_rows_are_pushes() -> None:
+    """A support is 50 rows of pushers and outcomes with wrapped angles. Rows after its pushes are zeros."""
+    support = SupportContext.of(np.array([[-0.08, 0.0, 7.0], [0.0, -0.08, 1.5]]), np.array([[0.02, 0.0, 0.1]] * 2))
+    pushers, outcomes, valid = support.tensors()
+    assert support.kind is ContextKind.SUPPORT
+    assert (pushers.shape, outcomes.shape, valid.shape) == ((50, 3), (50, 3), (50,))
+    assert {tensor.dtype for tensor in (pushers, outcomes, valid)} == {np.dtype(np.float32)}
+    assert pushers[0].tolist() == pytest.approx([-0.08, 0.0, 7.0 - 2.0 * np.pi])
+    assert outcomes[1].tolist() == pytest.approx([0.02, 0.0, 0.1])
+    assert valid.tolist() == [1.0, 1.0] + [0.0] * 48
+    assert not pushers[2:].any()
+    assert not outcomes[2:].any()
+
+
+@pytest.mark.parametrize(
+    ("pushers", "outcomes", "message"),
+    [
+        (np.zeros((0, 3)), np.zeros((0, 3)), r"^support\.pushers: received 0 pushes; accepted is 1 to 50"),
+        (np.zeros((51, 3)), np.zeros((51, 3)), r"^support\.pushers: received 51 pushes; accepted is 1 to 50"),
+        (np.zeros((2, 3)), np.zeros((1, 3)), r"^support\.outcomes: received 1 outcomes; accepted is as many"),
+        (np.array([[0.0, 0.0, 0.0], [0.0, 1.5, 0.0]]), np.zeros((2, 3)), r"^support\.pushers\.1: received 1\.5 m"),
+        (np.zeros((1, 3)), np.array([[-2.0, 0.0, 0.0]]), r"^support\.outcomes\.0: received -2 m"),
+    ],
+    ids=["none", "too many", "fewer outcomes", "a pusher out of reach", "an outcome out of reach"],
+)
+def test_an_impossible_support_is_refused_by_its_row(
+    pushers: np.ndarray[Any, Any], outcomes: np.ndarray[Any, Any], message: str
+) -> None:
+    """A support without pushes, with too many, without an outcome, or with one out of reach names field and row."""
+    with pytest.raises(InvalidRequestError, match=message):
+        SupportContext.of(pushers, outcomes)
 
 
 FIELDS = ("body.contexts", "body.context_index")

@@ -10,8 +10,9 @@ from service.model.domain import Domain, Verdict
 from service.model.loaded_model import LoadedModel
 from service.model.manifest import Manifest
 from service.model.predictor import OnnxPredictor
+from service.model.self_check import flattened
 from service.model.tensors import ContextKind, FloatArray, Gaussians, GraphSize, IndexArray, Tensor
-from service.pushing.contexts import BITS_PER_SIDE, SIDES
+from service.pushing.contexts import BITS_PER_SIDE, SIDES, SupportContext
 from service.pushing.gates import PUSHING, physics_gates
 from service.pushing.onnx_interface import OUTPUTS, OUTPUTS_WITH_UNFAMILIARITY, expected_inputs
 from tests.fakes import SMALL, FakePredictor, draft_manifest
@@ -84,6 +85,33 @@ def test_a_visual_model_is_turned_by_turning_its_views() -> None:
     assert refused(verdicts) == []
 
 
+def test_a_meta_learner_is_turned_by_turning_its_supports() -> None:
+    """A model with supports is tested with those of its self-check: pushers and outcomes turn, and headings follow."""
+    support = SupportContext.of(np.array([[-0.08, 0.01, 3.0]]), np.array([[0.02, 0.0, 0.3]]))
+    stored = tuple(tensor[None] for tensor in support.tensors())
+    draft = draft_manifest(kind=ContextKind.SUPPORT)
+    draft = replace(draft, self_check=replace(draft.self_check, context=flattened(stored)))
+    asked: list[tuple[FloatArray, ...]] = []
+
+    class Recording(Physics):
+        """A lawful predictor that keeps the contexts it is asked with."""
+
+        def predict(
+            self, pusher: FloatArray, contexts: tuple[FloatArray, ...], context_index: IndexArray | None
+        ) -> Gaussians:
+            """See ``service.model.predictor.Predictor``."""
+            asked.append(contexts)
+            return super().predict(pusher, contexts, context_index)
+
+    verdicts = list(physics_gates(replace(model(manifest=draft), predictor=Recording())))
+    assert refused(verdicts) == []
+    assert [verdict.gate for verdict in verdicts] == ["no-contact", "turned", "angle-at-pi"]
+    quarter = [contexts for contexts in asked if abs(contexts[0][0, 0, 1] + 0.08) < 1e-6]
+    assert quarter[0][0][0, 0].tolist() == pytest.approx([-0.01, -0.08, 3.0 - 1.5 * math.pi], abs=1e-6)
+    assert quarter[0][1][0, 0].tolist() == pytest.approx([0.0, 0.02, 0.3], abs=1e-6)
+    assert quarter[0][2].tolist() == stored[2].tolist()
+
+
 def shapes(flaw: str = "") -> list[Verdict]:
     """Return the verdicts on the small graph of shapes, with a flaw."""
     graph = OnnxPredictor(shape_graph(), expected_inputs(ContextKind.SHAPE), OUTPUTS_WITH_UNFAMILIARITY)
@@ -139,7 +167,7 @@ def test_the_domain_has_the_tensors_of_push_models(kind: ContextKind) -> None:
     assert DOMAIN.inputs(kind) == expected_inputs(kind)
     older, newer = (DOMAIN.outputs(kind, number) for number in (2, 3))
     with_distance = (*OUTPUTS, Tensor("unfamiliarity", "float32", ("n", 2), ("1", "1")))
-    if kind is ContextKind.SHAPE:
+    if kind in (ContextKind.SHAPE, ContextKind.SUPPORT):
         assert older == newer == (with_distance,)
     else:
         assert (older, newer) == ((OUTPUTS,), (OUTPUTS, with_distance))

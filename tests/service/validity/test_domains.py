@@ -8,7 +8,7 @@ import pytest
 
 from service.model.manifest import Validity
 from service.model.tensors import ContextKind
-from service.pushing.contexts import ObjectContext
+from service.pushing.contexts import ObjectContext, SupportContext
 from service.pushing.outlines import Outline
 from service.pushing.shape_context import ShapeContext
 from service.validity.domains import RING, in_words, object_features, outside, push_features, validity_of
@@ -53,7 +53,7 @@ def test_features_of_a_push_in_sizes_need_the_sizes() -> None:
 
 
 def test_features_of_objects_are_those_of_the_manifests() -> None:
-    """Weights of a descriptor, levels of a view, and for a shape its size, friction, tip and centre of mass."""
+    """Weights of a descriptor, levels of a view, for a shape its size and body, and the furthest of a support."""
     heavy = ObjectContext.from_descriptor("1b2b3c4a").tensor()
     assert object_features(ContextKind.INDICATOR, [heavy]) == {"weights": 3.0}
     half = np.zeros((1, 32, 32), dtype=np.float32)
@@ -65,6 +65,18 @@ def test_features_of_objects_are_those_of_the_manifests() -> None:
     expected = {"size_m": size_m, "friction": 0.3, "pusher_radius_over_size": 0.005 / size_m}
     assert found == pytest.approx({**expected, "centre_of_mass_over_size": 0.02 / size_m}, rel=1e-5)
     assert object_features(ContextKind.NONE, []) == {}
+    support = SupportContext.of(
+        np.array([[-0.08, 0.0, 0.0], [0.0, -0.1, 0.0]]), np.array([[0.03, 0.04, -0.5], [0, 0, 0.2]])
+    )
+    assert object_features(ContextKind.SUPPORT, support.tensors()) == pytest.approx(
+        {
+            "support_nearest_start_m": 0.08,
+            "support_furthest_start_m": 0.1,
+            "support_furthest_aim_m": 0.1,
+            "support_furthest_move_m": 0.05,
+            "support_largest_turn_rad": 0.5,
+        }
+    )
 
 
 def test_words_have_units_and_no_range_begins_below_zero() -> None:

@@ -10,7 +10,7 @@ import pytest
 from service.inference.query import FIRST_CONTEXT, ContextBatch
 from service.model.manifest import Manifest, Validity
 from service.model.tensors import ContextKind, Gaussians
-from service.pushing.contexts import ObjectContext
+from service.pushing.contexts import ObjectContext, SupportContext
 from service.pushing.image_quality import QualityFlag
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray
@@ -49,6 +49,12 @@ def older(kind: ContextKind = ContextKind.INDICATOR) -> Manifest:
 def newer(kind: ContextKind = ContextKind.SHAPE) -> Manifest:
     """Return the manifest of a version that has a domain of its own."""
     return replace(draft_manifest(kind=kind), format=3, validity=Validity(RANGES, "objects like those of the tests"))
+
+
+def supported() -> ContextBatch:
+    """Return the context of a push of an object that is known by one push, which starts 0.2 m away."""
+    tensors = SupportContext.of(np.array([[-0.2, 0.0, 0.0]]), np.array([[0.02, 0.0, 0.0]])).tensors()
+    return ContextBatch(ContextKind.SUPPORT, tuple(one[None] for one in tensors), FIRST_CONTEXT, "body.context")
 
 
 def answers(count: int = 1, unfamiliar: tuple[float, float] | None = None, moved: float = 0.03) -> Gaussians:
@@ -165,6 +171,18 @@ def test_a_warning_names_the_feature_out_of_range_or_the_distance() -> None:
     assert "objects like those of the tests" in long.detail
     strange = judged((-0.1, 0.0, 0.0, 0.05), shaped(), answers(1, (5.0, 0.5)), newer())[0]
     assert "distance 5, known: up to 1" in strange.detail
+
+
+def test_a_support_tells_of_no_form_and_is_judged_by_its_pushes() -> None:
+    """Where an object begins is not known from its support, so no push is said to miss, or to start inside."""
+    manifest = replace(
+        newer(ContextKind.SUPPORT), validity=Validity({"support_furthest_start_m": (0.05, 0.12)}, "a test")
+    )
+    for push in ((-0.01, 0.0, 0.0), (-0.1, 0.0, math.pi)):
+        assert codes(push, supported(), answers(1, (0.5, 0.5)), manifest) == []
+    (strange,) = judged((-0.1, 0.0, 0.0), supported(), answers(1, (0.5, 3.0)), manifest)
+    assert strange.code == "unfamiliar_object"
+    assert "a push of the support starts 0.2 m from the object's centre (known: 0.05 to 0.12 m)" in strange.detail
 
 
 def test_a_warning_of_an_object_names_its_feature() -> None:

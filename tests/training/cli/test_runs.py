@@ -40,7 +40,7 @@ def test_fit_of_an_unknown_recipe_lists_those_that_exist(data_folder: Path, tmp_
     """The error about an unknown recipe lists the recipes that ship."""
     line = sole_line(cazsl_train("fit", "push-smell", "--data", data_folder, "--run", tmp_path / "run"))
 
-    assert "paper, push-indicator, push-none, push-shape, push-visual" in line
+    assert "paper, push-anp, push-indicator, push-none, push-shape, push-visual" in line
 
 
 def test_fit_trains_a_recipe_file(recipe: Recipe, data_folder: Path, tmp_path: Path) -> None:
@@ -124,6 +124,23 @@ def test_publish_without_an_alias_leaves_even_a_first_version_unnamed(
     assert result.exit_code == 0
     assert registry.versions("push-none") == [1]
     assert registry.aliases("push-none") == {}
+
+
+def test_a_meta_learner_is_evaluated_and_published_by_the_size_of_its_supports(
+    data_folder: Path, support_run: Path, none_run: Path, tmp_path: Path
+) -> None:
+    """Figures are printed for every number of support pushes, and the version is one of its model."""
+    options = ("--data", data_folder)
+    lines = cazsl_train("evaluate", support_run, *options).stdout.splitlines()
+    heading = next(place for place, line in enumerate(lines) if line.startswith("pushes in the support"))
+    assert [line.split()[0] for line in lines[heading + 1 : heading + 7]] == ["1", "2", "5", "10", "20", "50"]
+    assert {len(line) for line in lines[heading : heading + 7]} == {len(lines[heading])}
+    registry = Registry(tmp_path / "models")
+    refused = cazsl_train("publish", support_run, *options, "--registry", registry.root, "--measured", none_run)
+    assert "fit push-anp" in sole_line(refused)
+    result = cazsl_train("publish", support_run, *options, "--registry", registry.root)
+    assert result.exit_code == 0, result.output
+    assert registry.read("push-anp", 1).manifest.context_kind is ContextKind.SUPPORT
 
 
 def test_a_model_of_all_objects_is_published_with_the_figures_of_a_run_that_held_some_out(

@@ -10,7 +10,8 @@ from tests.training import reference_equations
 from tests.training.networks.fixed_process import fixed_process
 from tests.training.reference_equations import array_of
 from training.fitting.evaluation import evaluate
-from training.fitting.neural_process_step import draw_support, loss_terms, predict_targets
+from training.fitting.neural_process_step import draw_support, loss_terms, predict_targets, split_pushes
+from training.fitting.recipe import Recipe
 from training.fitting.samples import Samples
 
 
@@ -61,6 +62,44 @@ def test_fifty_of_omnipush_s_pushes_are_support() -> None:
     assert torch.equal(together[0].sort(dim=0).values, samples.inputs[0].sort(dim=0).values)
     assert not torch.equal(support.inputs, other.inputs)
     assert not torch.equal(support.inputs[0, :, 0].argsort(), support.inputs[1, :, 0].argsort())
+
+
+def test_a_process_that_is_served_meets_supports_of_any_count() -> None:
+    """Counts lie between 1 and 50, small ones as often as large ones by their ratio, and targets are the same."""
+    samples = random_samples(objects=400, pushes=60)
+    torch.manual_seed(1)
+    support, targets = draw_support(samples, any_count=True)
+    torch.manual_seed(1)
+    _, expected = draw_support(samples)
+    counts = support.valid.sum(dim=1)
+
+    assert torch.equal(targets.inputs, expected.inputs)
+    assert (counts.min().item(), counts.max().item()) == (1.0, 12.0)
+    assert 0.2 < (counts == 1.0).float().mean() < 0.35  # log 2 over log 13 is 0.27
+    assert torch.equal(support.valid, support.valid.sort(dim=1, descending=True).values)
+
+
+def test_a_smaller_support_is_the_first_part_of_a_larger_one() -> None:
+    """The pushes of a support of 3 are among those of 10, and the targets are the same for both."""
+    samples = random_samples(objects=2, pushes=100)
+    (three, targets), (ten, others) = (split_pushes(samples, 4, count) for count in (3, 10))
+
+    assert torch.equal(three.inputs, ten.inputs[:, :3])
+    assert torch.equal(targets.targets, others.targets)
+    assert targets.inputs.shape[1] == 80
+
+
+def test_the_recipe_of_a_served_process_weighs_its_likelihood(recipe: Recipe) -> None:
+    """Beta and supports of any count change the loss, and the paper's process is trained as without a recipe."""
+    network, samples = fixed_process(), random_samples()
+    losses = []
+    for given in (None, recipe, replace(recipe, beta=0.5), replace(recipe, context="support")):
+        torch.manual_seed(8)
+        with torch.no_grad():
+            losses.append(loss_terms(network, samples, torch.float32, given)[0].item())
+
+    assert losses[0] == losses[1]
+    assert len({round(loss, 6) for loss in losses}) == 3
 
 
 def with_padding(samples: Samples, junk: float) -> Samples:

@@ -22,9 +22,27 @@ def toml_of(values: dict[str, object]) -> str:
     return "".join(f"{key} = {text}\n" for key, text in texts.items())
 
 
-def test_five_recipes_ship() -> None:
+def test_six_recipes_ship() -> None:
     """The paper's recipe and one recipe for each kind of context ship with the trainer."""
-    assert recipe_names() == sorted(["paper", "push-shape", *OMNIPUSH])
+    assert recipe_names() == sorted(["paper", "push-anp", "push-shape", *OMNIPUSH])
+
+
+def test_the_served_meta_learner_is_trained_like_the_others() -> None:
+    """Its recipe takes supports, holds objects out, and has the frame, the symmetries and the misses of push-none."""
+    found, other = read_recipe("push-anp"), read_recipe("push-none")
+    same = ("set_up", "batch_objects", "angle", "symmetries", "no_contact", "least_std", "beta")
+
+    assert (found.name, found.method, found.context_kind) == ("push-anp", "ANP", "support")
+    assert [getattr(found, name) for name in same] == [getattr(other, name) for name in same]
+
+
+def test_only_a_neural_process_takes_supports(recipe: Recipe) -> None:
+    """A network without support points is refused with supports as its context."""
+    with pytest.raises(DataError, match="context is 'support'; expected none with FCN"):
+        parse_recipe_record({**asdict(recipe), "method": "FCN", "context": "support"}, "here")
+    assert (
+        parse_recipe_record({**asdict(recipe), "method": "ANP", "context": "support"}, "here").network().neural_process
+    )
 
 
 @pytest.mark.parametrize("name", OMNIPUSH)
@@ -163,10 +181,10 @@ def test_an_impossible_field_is_named(recipe: Recipe, field: str, value: object)
     assert "expected" in str(caught.value)
 
 
-@pytest.mark.parametrize("method", ["FCN", "ANP"])
-def test_a_method_without_context_takes_kind_none_only(recipe: Recipe, method: str) -> None:
+@pytest.mark.parametrize(("method", "kinds"), [("FCN", "none"), ("ANP", "none or support")])
+def test_a_method_without_context_takes_no_indicator(recipe: Recipe, method: str, kinds: str) -> None:
     """A method without use for a context is refused with one, and the message lists its kinds of context."""
-    with pytest.raises(DataError, match=rf"context is 'indicator'; expected none with {method}"):
+    with pytest.raises(DataError, match=rf"context is 'indicator'; expected {kinds} with {method}"):
         parse_recipe_record({**asdict(recipe), "method": method}, "here")
 
 
@@ -196,7 +214,9 @@ def test_a_file_that_is_not_toml_is_refused() -> None:
 )
 def test_an_unknown_recipe_lists_those_that_exist(name: str) -> None:
     """The error for an unknown recipe lists the name of every recipe that ships."""
-    with pytest.raises(DataError, match=r"paper, push-indicator, push-none, push-shape, push-visual or a \.toml file"):
+    with pytest.raises(
+        DataError, match=r"paper, push-anp, push-indicator, push-none, push-shape, push-visual or a \.toml file"
+    ):
         read_recipe(name)
 
 

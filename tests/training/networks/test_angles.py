@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from training.networks.angles import circular, from_push_frame, in_push_frame, wrapped
+from training.networks.angles import circular, from_push_frame, in_push_frame, into_push_frame, wrapped
 from training.omnipush.published import published_normalisation
 
 
@@ -65,3 +65,23 @@ def test_a_mean_of_zero_in_the_push_frame_is_rest() -> None:
     unit_m = known.output_std[0]
     assert rest == pytest.approx(np.zeros((2, 3)), abs=1e-7)
     assert moved == pytest.approx(np.array([[unit_m, 0.0, 0.0], [0.0, -unit_m, 0.0]]), abs=1e-7)
+
+
+def test_an_outcome_goes_into_the_push_frame_and_back() -> None:
+    """Outcomes in their own push frames are those that the way back turns into the same poses. Rest is 0."""
+    known, generator = published_normalisation(), torch.Generator().manual_seed(2)
+    pushers, outcomes = torch.randn(2, 4, 5, 3, generator=generator)
+    found = into_push_frame(outcomes, pushers)
+    rest = torch.from_numpy(-known.output_mean / known.output_std).float().expand_as(outcomes)
+
+    assert torch.allclose(from_push_frame(found, pushers), outcomes, atol=1e-5)
+    assert torch.allclose(into_push_frame(rest, pushers), torch.zeros_like(rest), atol=1e-6)
+
+
+def test_an_object_that_is_pushed_along_moves_along_the_first_axis() -> None:
+    """An outcome of 10 mm in the direction of the push has its millimetres on the first axis of the push frame."""
+    known = published_normalisation()
+    along = (np.array([[0.0, -0.01, 0.2]]) - known.output_mean) / known.output_std
+    found = into_push_frame(torch.from_numpy(along).float(), normalised_pushers([(0.0, 0.08, -math.pi / 2.0)]))
+
+    assert found[0].tolist() == pytest.approx([0.01 / known.output_std[0], 0.0, 0.2 / known.output_std[2]], abs=1e-4)

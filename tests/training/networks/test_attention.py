@@ -30,6 +30,18 @@ def test_embedded_points_attend_like_the_layer_s_outputs() -> None:
         assert torch.allclose(one, other, atol=1e-6)
 
 
+def test_a_memory_is_shared_by_the_queries_of_its_object() -> None:
+    """Queries one by one, each with the memory of its object, get what they get together."""
+    torch.manual_seed(4)
+    attention, valid = Attention().eval(), torch.tensor([[1.0] * 7, [1.0] * 3 + [0.0] * 4])
+    keys, queries = points(128), points(128, seed=5)
+    together = attention(queries, keys, keys, valid)
+    index = torch.tensor([1, 0, 1])
+    alone = attention.answer(queries[index, 2:3], attention.memory(keys, keys).of(index), valid[index])
+
+    assert torch.allclose(alone[:, 0], together[index, 2], atol=1e-5)
+
+
 def test_padding_is_not_attended_to() -> None:
     """Attention ignores values in padding, and an object without a valid point gets finite numbers."""
     query, key, value = torch.randn(3, 8, 5, 32, generator=torch.Generator().manual_seed(1))

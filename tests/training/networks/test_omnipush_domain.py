@@ -7,8 +7,16 @@ import pytest
 import torch
 
 from service.model.tensors import ContextKind
-from service.pushing.contexts import ObjectContext
-from training.networks.omnipush_domain import OmnipushDomain, exposure, push_features, weights, without_exposure
+from service.pushing.contexts import ObjectContext, SupportContext
+from service.validity.domains import object_features
+from training.networks.omnipush_domain import (
+    OmnipushDomain,
+    SupportDomain,
+    exposure,
+    push_features,
+    weights,
+    without_exposure,
+)
 
 PUSHERS = torch.tensor([[0.05, 0.0, math.pi], [0.0, 0.12, 0.0], [-0.08, 0.0, 0.3]])
 
@@ -105,3 +113,31 @@ def test_the_manifest_has_every_range_by_name() -> None:
 
     assert domain.ranges()["start_distance_m"] == pytest.approx([0.05, 0.12])
     assert set(domain.ranges()) == {"start_distance_m", "aim_offset_m", "weights"}
+
+
+def test_a_support_is_familiar_if_each_of_its_pushes_is() -> None:
+    """One push of a support that starts too far away, or moves the object too far, makes it unfamiliar. Padding not."""
+    generator = torch.Generator().manual_seed(0)
+    bearing = torch.rand(200, generator=generator) * 2.0 * math.pi
+    pushers = torch.stack([0.08 * torch.cos(bearing), 0.08 * torch.sin(bearing), bearing + math.pi], dim=-1)
+    pushers[:, :2] *= torch.linspace(0.6, 1.4, 200)[:, None]
+    outcomes = torch.randn(200, 3, generator=generator) * torch.tensor([0.01, 0.01, 0.1])
+    domain = SupportDomain().fit(pushers, outcomes).eval()
+    supports = pushers[:9].reshape(3, 3, 3).clone(), outcomes[:9].reshape(3, 3, 3).clone(), torch.ones(3, 3)
+    supports[0][1, 2, :2] *= 5.0
+    supports[1][2, 0, 0] = 0.3
+    found = domain(pushers[:3], torch.tensor([2, 1, 0]), supports)
+
+    assert (found[:, 0] <= 1.0).all()
+    assert [bool(distance > 1.0) for distance in found[:, 1]] == [True, True, False]
+    supports[2][1, 2], supports[2][2, 0] = 0.0, 0.0
+    assert (domain(pushers[:3], torch.tensor([2, 1, 0]), supports)[:, 1] <= 1.0).all()
+
+
+def test_the_ranges_of_supports_have_the_names_of_the_warnings() -> None:
+    """Every feature of a support is in the manifest, and is one that a warning has words for."""
+    domain = SupportDomain().fit(PUSHERS, torch.zeros(3, 3))
+    support = SupportContext.of(np.array([[0.1, 0.0, 3.0]]), np.array([[0.01, 0.0, 0.1]]))
+    features = object_features(ContextKind.SUPPORT, support.tensors())
+
+    assert list(domain.ranges()) == ["start_distance_m", "aim_offset_m", *features]

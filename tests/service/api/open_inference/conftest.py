@@ -17,6 +17,7 @@ def client(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     registry, models = fake_models(tmp_path_factory.mktemp("models"))
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     publish_fake(registry, "push-shape", ContextKind.SHAPE)
+    publish_fake(registry, "push-anp", ContextKind.SUPPORT)
     publish_fake(registry, alias="canary")
     models.refresh()
     app = create_app(Settings(poll_interval_s=3600, max_body_bytes=1 << 20), models)

@@ -10,6 +10,7 @@ from fastapi.testclient import TestClient
 from service.api.open_inference.queries import parse_reference
 from service.errors import InvalidRequestError
 from service.model.reference import ModelReference
+from service.pushing.contexts import SupportContext
 from service.pushing.shape_context import ShapeContext
 from tests.served_graphs import BOX, shape_tensors
 from tests.service.api.open_inference.tensors import (
@@ -119,6 +120,45 @@ def test_a_shape_against_the_rules_is_a_400(
     """A push or an object that /v1 refuses is refused with its tensor."""
     pushes = changes.pop("pusher", LONG_PUSHES)
     assert words in error(client.post("/v2/models/push-shape/infer", json=of_shapes(pushes, **changes)))
+
+
+SUPPORT = SupportContext.of(np.array([[-0.08, 0.0, 0.0]] * 3), np.array([[0.02, 0.0, 0.1]] * 3))
+SUPPORTS = {
+    name: tensor[None]
+    for name, tensor in zip(("support_pushers", "support_outcomes", "support_valid"), SUPPORT.tensors(), strict=True)
+}
+
+
+def of_supports(**changes: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """Return a request for pushes of an object with a support, with other tensors in place of some of its own."""
+    tensors = {"pusher": LONG_PUSHES[:, :3], **SUPPORTS, **changes}
+    return {"inputs": [tensor(name, array) for name, array in tensors.items()]}
+
+
+def test_supports_are_answered_as_in_v1(client: TestClient) -> None:
+    """The tensors of a support give the numbers that /v1 gives for it."""
+    found = numbers(client.post("/v2/models/push-anp/infer", json=of_supports()))
+    context = {"support": {"pushers": SUPPORT.pushers.tolist(), "outcomes": SUPPORT.outcomes.tolist()}}
+    body = {"pushers": LONG_PUSHES[:, :3].tolist(), "contexts": [context]}
+    expected = client.post("/v1/predict/batch", json=body).json()["mean"]
+    assert (found["mean"] == np.array(expected, dtype=np.float32)).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"support_valid": SUPPORTS["support_valid"] * np.float32(0.0)}, "inputs support_valid"),
+        ({"support_valid": SUPPORTS["support_valid"] * np.float32(0.5)}, "inputs support_valid"),
+        ({"support_valid": SUPPORTS["support_valid"][:, :49]}, "inputs support_valid.shape"),
+        ({"support_pushers": SUPPORTS["support_pushers"] * np.float32(90.0)}, "inputs support_pushers[0, 0, 0]"),
+        ({"support_outcomes": np.repeat(SUPPORTS["support_outcomes"], 2, axis=0)}, "2 contexts"),
+    ],
+)
+def test_a_support_against_the_rules_is_a_400(
+    client: TestClient, changes: dict[str, np.ndarray[Any, Any]], words: str
+) -> None:
+    """A support that /v1 refuses is refused with its tensor."""
+    assert words in error(client.post("/v2/models/push-anp/infer", json=of_supports(**changes)))
 
 
 @pytest.mark.parametrize(

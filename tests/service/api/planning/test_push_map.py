@@ -7,6 +7,7 @@ import pytest
 from fastapi.testclient import TestClient
 
 from service.schemas.shapes import OUTLINE_EXAMPLE
+from service.schemas.supports import SUPPORT_EXAMPLE
 from tests.service.api.v1.requests import answer, fault
 
 BOX = {"outline": OUTLINE_EXAMPLE}
@@ -35,6 +36,7 @@ def test_every_list_has_one_value_for_each_push(shipped: TestClient) -> None:
     ("fields", "where"),
     [
         ({"context": {"visual": [[0.5] * 32] * 32}}, "body.context"),
+        ({"context": {"support": SUPPORT_EXAMPLE}}, "body.context"),
         ({"spacing": 1e-320}, "body.spacing"),
         ({"angles": []}, "body.angles"),
         ({"angles": [1.6]}, "body.angles.0"),

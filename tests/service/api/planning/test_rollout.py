@@ -9,6 +9,7 @@ from fastapi.testclient import TestClient
 
 from service.planning.rollout import MOST_ROWS
 from service.schemas.shapes import OUTLINE_EXAMPLE
+from service.schemas.supports import SUPPORT_EXAMPLE
 from tests.service.api.v1.requests import answer, fault, problem
 
 BOX = {"outline": OUTLINE_EXAMPLE}
@@ -107,3 +108,20 @@ def test_a_model_of_another_kind_is_refused(shipped: TestClient) -> None:
     """A model without context is not asked about a box."""
     body = {"context": BOX, "object_pose": POSE, "pushes": [PUSH], "model": "push-none"}
     problem(shipped.post("/v1/rollout", json=body), 422, "wrong_context_kind")
+
+
+def test_an_object_that_is_known_by_its_pushes_is_rolled_out(shipped: TestClient) -> None:
+    """The meta-learner answers for a support: the object is learnt once, and pushes of 50 mm are rolled out."""
+    found = rolled_out(shipped, context={"support": SUPPORT_EXAMPLE}, pushes=[PUSH, PUSH], particles=16)
+    assert found["model"]["name"] == "push-anp"
+    assert len(found["steps"]) == 2
+    assert fault(
+        shipped.post(
+            "/v1/rollout",
+            json={
+                "context": {"support": SUPPORT_EXAMPLE},
+                "object_pose": POSE,
+                "pushes": [{**PUSH, "length": 0.1}],
+            },
+        )
+    )[0].startswith("body.pushes")

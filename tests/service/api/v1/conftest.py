@@ -30,6 +30,7 @@ def faked(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
     registry, models = fake_models(tmp_path_factory.mktemp("models"))
     publish_fake(registry, "push-visual", ContextKind.VISUAL)
     publish_fake(registry, "push-shape", ContextKind.SHAPE)
+    publish_fake(registry, "push-anp", ContextKind.SUPPORT)
     models.refresh()
     with TestClient(create_app(Settings(poll_interval_s=3600), models), raise_server_exceptions=False) as found:
         yield found

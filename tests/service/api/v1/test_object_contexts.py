@@ -107,6 +107,43 @@ def test_only_images_are_timed() -> None:
     assert [phase for phase, _ in timings] == ["decode"]
 
 
+SUPPORT = {"pushers": [[-0.08, 0.0, 0.0], [0.0, -0.08, 1.5]], "outcomes": [[0.02, 0.0, 0.1], [0.0, 0.02, 0.0]]}
+
+
+def test_a_support_is_the_context_of_one_push_and_of_a_batch(faked: TestClient) -> None:
+    """The model of supports answers, for one push and by index in a batch, in the event loop."""
+    body = ContextBody.model_validate({"support": SUPPORT})
+    assert is_light(body)
+    assert [tensor.shape for tensor in encode_context(body).tensors] == [(1, 50, 3), (1, 50, 3), (1, 50)]
+    pusher = {"x": 0.1, "y": 0.0, "angle": 0.0}
+    one = answer(faked, "/v1/predict", {"pusher": pusher, "context": {"support": SUPPORT}})
+    assert (one["model"]["name"], one["warnings"]) == ("push-anp", [])
+    other = {"support": {"pushers": [[0.08, 0.0, 3.0]], "outcomes": [[0.0, 0.0, 0.0]]}}
+    many = batch(faked, pushers=[[0.1, 0.0, 0.0]] * 2, contexts=[other, {"support": SUPPORT}], context_index=[1, 0])
+    assert many["mean"][0] == pytest.approx(list(one["mean"].values()))
+    assert many["mean"][1] != many["mean"][0]
+
+
+@pytest.mark.parametrize(
+    ("change", "where", "received"),
+    [
+        ({"outcomes": [[0.0, 0.0, 0.0]]}, "body.context.support.outcomes", "1 outcomes"),
+        ({"pushers": [[-0.08, 0.0, 0.0], [0.0, 4.0, 0.0]]}, "body.context.support.pushers.1", "4 m"),
+        ({"pushers": []}, "body.context.support.pushers", "0 values"),
+        ({"pushers": [[0.0] * 3] * 51}, "body.context.support.pushers", "51 values"),
+        ({"outcomes": [[0.0] * 3, [0.0] * 2]}, "body.context.support.outcomes.1", "2 values"),
+        ({"outcomes": None}, "body.context.support.outcomes", "null"),
+        ({"lengths": [0.05]}, "body.context.support", "the field lengths"),
+    ],
+)
+def test_a_support_that_is_not_valid_names_its_row(
+    faked: TestClient, change: dict[str, object], where: str, received: str
+) -> None:
+    """The fault of a support names the list and the row, and describes the received value."""
+    body = {"pusher": {"x": 0.1, "y": 0.0, "angle": 0.0}, "context": {"support": {**SUPPORT, **change}}}
+    assert fault(faked.post("/v1/predict", json=body)) == (where, received)
+
+
 def square(number: int) -> ContextBody:
     """Return one of many different squares, which no other test sends."""
     side = 0.03 + number * 1e-6
