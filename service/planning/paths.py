@@ -7,6 +7,7 @@ samples keep the clearance touches nothing between them. Poses between two pushe
 The tip comes down from above at the start of a push and is lifted at its end, so ways between pushes are not checked.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -14,6 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from service.planning.particles import moved
 from service.planning.surroundings import Surroundings
 from service.pushing.outlines import Outline
 from service.pushing.poses import DoubleArray, into_object_frame, wrap_angles
@@ -21,7 +23,8 @@ from service.turns import pause
 
 Rows = npt.NDArray[np.bool_]
 MOST_POINTS: Final = 256  # of an outline
-MOST_STEPS: Final = 64  # of a path
+MOST_STEPS: Final = 64  # of a tip's way
+MOST_OF_OBJECT: Final = 4 * MOST_STEPS  # of an object's, whose corners go further as it turns
 _POINTS_AT_ONCE: Final = 1 << 14
 
 
@@ -35,6 +38,7 @@ class Paths:
         radius_m: of the tip.
         longest_m: length of the longest push.
         clearance_m: that object and tip keep.
+        is_over: function that returns true if the time is over. Paths that are not checked then count as not free.
     """
 
     surroundings: Surroundings
@@ -42,6 +46,7 @@ class Paths:
     radius_m: float
     longest_m: float
     clearance_m: float
+    is_over: Callable[[], bool] = lambda: False
 
     @cached_property
     def kept_m(self) -> float:
@@ -50,14 +55,14 @@ class Paths:
 
     @cached_property
     def _points(self) -> DoubleArray:
-        """Return points (n, 2) along the outline."""
+        """Return points (n, 2) along the outline, from its centroid."""
         edges = self.outline.edges
         lengths = np.hypot(edges[:, 0], edges[:, 1])
         parts = []
         for corner, edge, length in zip(self.outline.corners, edges, lengths, strict=True):
             count = max(1, int(np.ceil(length / self.kept_m)))
             parts.append(corner + edge * (np.arange(count)[:, None] / count))
-        return np.concatenate(parts)
+        return np.concatenate(parts) - self.outline.centroid_m
 
     @cached_property
     def reach_m(self) -> float:
@@ -65,12 +70,18 @@ class Paths:
         apart = self.outline.corners - self.outline.centroid_m
         return float(np.hypot(apart[:, 0], apart[:, 1]).max())
 
+    @cached_property
+    def furthest_m(self) -> float:
+        """Return the largest distance of the outline from the origin of its frame."""
+        return float(np.hypot(self.outline.corners[:, 0], self.outline.corners[:, 1]).max())
+
     def gap_m(self, pose: DoubleArray) -> float:
         """Return how far the object at a pose (3,) is from what is forbidden, negative if it overlaps it."""
         for obstacle in self.surroundings.obstacles:
             if self.outline.contains(into_object_frame(_poses_at(obstacle.corners[:1]), pose[None])[:, :2])[0]:
                 return -np.inf  # the obstacle is inside of the object, whose edge may be far from it
-        return float(self.surroundings.distance_m(_placed(self._points, pose[None])[0]).min())
+        points = _placed(self._points, self._centres(pose[None]))[0]
+        return float(self.surroundings.distance_m(points).min())
 
     def free(
         self,
@@ -102,30 +113,32 @@ class Paths:
         rows = np.flatnonzero(found)
         if not len(rows):
             return found
-        change = after[rows] - before[rows]
+        start = self._centres(before[rows])
+        change = self._centres(after[rows]) - start
         change[:, 2] = wrap_angles(change[:, 2])
-        way = float((np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * self._furthest_m).max())
+        way = float((np.hypot(change[:, 0], change[:, 1]) + np.abs(change[:, 2]) * self.reach_m).max())
         share = np.linspace(0.0, 1.0, self._steps(way))[1:]
-        poses = before[rows][:, None, :] + share[None, :, None] * change[:, None, :]
+        poses = start[:, None, :] + share[None, :, None] * change[:, None, :]
         least = least_m + np.broadcast_to(np.asarray(spread_m), len(pushes))[rows, None] * share
         found[rows] = self._poses_free(poses.reshape(-1, 3), least.ravel()).reshape(len(rows), -1).all(axis=1)
         return found
 
     def _steps(self, way_m: float) -> int:
-        return min(MOST_STEPS, int(np.ceil(way_m / self.kept_m))) + 1
+        """Return the samples of a way. Those of a tip are always near enough to each other, see ``kept_m``."""
+        return min(MOST_OF_OBJECT, max(1, int(np.ceil(way_m / self.kept_m)))) + 1
 
-    @cached_property
-    def _furthest_m(self) -> float:
-        """Return the largest distance of the outline from the origin of its frame."""
-        return float(np.hypot(self.outline.corners[:, 0], self.outline.corners[:, 1]).max())
+    def _centres(self, poses: DoubleArray) -> DoubleArray:
+        """Return the poses (n, 3) of a frame at the centroid, of an object at poses (n, 3)."""
+        return moved(poses, np.append(self.outline.centroid_m, 0.0))
 
     def _poses_free(self, poses: DoubleArray, least_m: DoubleArray) -> Rows:
-        """Return (n,) true for poses (n, 3) at which the outline is at least as far (n,) from what is forbidden."""
-        centres = _placed(self.outline.centroid_m[None], poses)[:, 0]
-        found = self.surroundings.keeps(centres, self.reach_m + least_m)
+        """Return (n,) true for poses (n, 3) of the centroid at which the outline keeps a distance (n,)."""
+        found = self.surroundings.keeps(poses[:, :2], self.reach_m + least_m)
         doubtful = np.flatnonzero(~found)
         together = max(1, _POINTS_AT_ONCE // len(self._points))
         for first in range(0, len(doubtful), together):
+            if self.is_over():
+                break
             rows = doubtful[first : first + together]
             points = _placed(self._points, poses[rows]).reshape(-1, 2)
             kept = self.surroundings.keeps(points, np.repeat(least_m[rows], len(self._points)))

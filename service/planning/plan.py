@@ -41,6 +41,7 @@ _CANDIDATES: Final = (200, 2000)
 _WIDTHS: Final = (32, 64)  # of the beam
 _POSES_PER_S: Final = 214  # of the beam: its most in 0.3 s
 _PARTICLES: Final = (32, 1000)
+_MOST_CHECKED: Final = 100  # particles whose ways are checked
 _NO_PUSHES: Final = np.zeros((0, 4))
 _CROWDED: Final = "the object touches an obstacle or leaves the workspace"
 _LEAST_KEPT: Final = 0.8  # of the gap at the start, if it is less than the clearance
@@ -130,7 +131,9 @@ class _Planner:
         self._pusher, self._task, self._clock = pusher, task, clock
         self._until_s = clock() + task.time_s
         longest_m = float(task.lengths_m[-1])
-        self._paths = Paths(task.surroundings, pusher.outline, pusher.radius_m, longest_m, task.clearance_m)
+        parts = task.surroundings, pusher.outline, pusher.radius_m, longest_m, task.clearance_m
+        self._paths = Paths(*parts, self._is_over)
+        self._all_paths = Paths(*parts)  # whose checks do not end with the time
         self._least_m = self._paths.kept_m
         rows = task.time_s * ROWS_PER_S
         self._candidates = round(float(np.clip(_SHARE * rows, *_CANDIDATES)))
@@ -150,6 +153,13 @@ class _Planner:
         if self._paths.gap_m(goal) < self._least_m:
             kept = f" by less than the clearance of {self._least_m * 1e3:.3g} mm"
             return self._none(Reason.GOAL_BLOCKED, f"at the goal {_CROWDED}, or clears them{kept}")
+        furthest_m = 2.0 * task.most_pushes * float(task.lengths_m[-1])
+        way_m = float(np.hypot(*(goal - task.start)[:2]))
+        if way_m > furthest_m + 2.0 * self._paths.furthest_m + task.goal.position_tolerance_m:
+            detail = (
+                f"the goal is {way_m:.3g} m away, further than {task.most_pushes} pushes of these lengths can reach"
+            )
+            return self._none(Reason.OUT_OF_REACH, detail)
         candidates = self._pusher.candidates(self._pusher.spread(self._candidates), self._is_over)
         if not len(candidates.motions):
             return self._none(Reason.NO_CANDIDATES, "no push of these lengths starts clear of the object and moves it")
@@ -221,10 +231,11 @@ class _Planner:
 
     def _collisions(self, pushes: DoubleArray, particles: DoubleArray) -> DoubleArray:
         """Return the share (k,) of particles (k, p, 3) that touch something up to each push."""
+        particles = particles[:, :_MOST_CHECKED]
         free, found = np.ones(particles.shape[1], dtype=np.bool_), np.empty(len(pushes))
         before = np.broadcast_to(self._task.start, particles.shape[1:])
         for step, (push, after) in enumerate(zip(pushes, particles, strict=True)):
-            free &= self._paths.free(before, after, np.broadcast_to(push, (len(free), 4)), 0.0)
+            free &= self._all_paths.free(before, after, np.broadcast_to(push, (len(free), 4)), 0.0)
             found[step] = 1.0 - float(free.mean())
             before = after
         return found
@@ -233,7 +244,7 @@ class _Planner:
         task = self._task
         distance, turn = found.nearest
         best = f"the best ends {distance * 1e3:.3g} mm and {np.degrees(turn):.3g} degrees off"
-        if not found.is_complete:
+        if self._is_over() or not found.is_complete:
             detail = f"the time of {task.time_s:g} s was over before a sequence reached the goal: {best}"
             return self._none(Reason.TIME_OVER, detail, candidates, stopped=True)
         among = "" if task.surroundings.is_empty else " and touches nothing"

@@ -89,3 +89,23 @@ def test_what_is_not_known_of_a_push_is_kept_at_its_end() -> None:
     assert found.free(near, far, push, 0.005, 0.1).tolist() == [True]
     two = found.free(np.repeat(STILL, 2, 0), np.repeat(near, 2, 0), np.repeat(push, 2, 0), 0.005, np.array([0.0, 0.1]))
     assert two.tolist() == [True, False]
+
+
+def test_the_frame_of_an_outline_does_not_matter() -> None:
+    """A box whose frame is 3 m away from it turns about itself, and not through the needle."""
+    away = np.array([3.0, 0.0])
+    far = Paths(Surroundings(ROOM, (NEEDLE,)), Outline.of(BOX.corners + away), RADIUS_M, 0.1, 0.005)
+    before, after = np.array([[-3.0, 0.0, 0.0]]), np.array([[3.0, 0.0, np.pi]])  # half a turn in its place
+    push = np.array([[-0.3, -0.3, 0.0, 0.01]])
+    assert far.gap_m(before[0]) == pytest.approx(0.04)
+    assert far.free(before, after, push, 0.005).tolist() == [True]
+    assert far.free(before, after + np.array([0.03, 0.0, 0.0]), push, 0.005).tolist() == [False]
+
+
+def test_paths_that_are_not_checked_in_time_are_not_free() -> None:
+    """Away from everything no check is needed, and beside a needle a late one is none."""
+    late = Paths(Surroundings(None, (NEEDLE,)), BOX, RADIUS_M, 0.1, 0.005, is_over=lambda: True)
+    push, near = np.array([[-0.3, -0.3, 0.0, 0.01]]), np.array([[0.03, 0.0, 0.0]])
+    assert late.free(STILL, STILL, push, 0.005).tolist() == [True]
+    assert late.free(near, near, push, 0.005).tolist() == [False]
+    assert paths(NEEDLE).free(near, near, push, 0.005).tolist() == [True]

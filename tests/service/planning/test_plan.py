@@ -114,6 +114,7 @@ def test_at_the_goal_no_push_is_needed() -> None:
         ({"surroundings": Surroundings(None, (square(0.1, 0.05, 0.05),))}, Reason.GOAL_BLOCKED, "goal"),
         ({"surroundings": Surroundings(square(-0.15, 0.0, 0.5), ())}, Reason.GOAL_BLOCKED, "goal"),
         ({"most_pushes": 1}, Reason.OUT_OF_REACH, "at most 1 pushes"),
+        ({"goal": Region((50.0, 0.0, 0.0), 0.01, 0.1)}, Reason.OUT_OF_REACH, "the goal is 50.1 m away"),
         ({"surroundings": Surroundings(square(-0.1, 0.0, 0.14), ()), "goal": Region((-0.1, 0.0, np.pi), 0.01, 0.1)},
          Reason.OUT_OF_REACH, "touches nothing"),
     ],
