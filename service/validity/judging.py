@@ -35,7 +35,6 @@ from service.validity.omnipush import is_omnipush, unlike_omnipush
 from service.validity.pictures import PICTURES, flags_of
 
 NO_WARNINGS: Final[tuple[AnswerWarning, ...]] = ()
-_FORMLESS: Final = (ContextKind.NONE, ContextKind.SUPPORT)  # nothing is known of the object's form
 _SIZE: Final = BODY.index("size")
 _TURN_RAD: Final = 2.0 * math.pi
 _NEAREST_M, _FURTHEST_M = RING.ranges[START_DISTANCE]
@@ -135,10 +134,8 @@ def _is_plain(
             return False
         if not is_omnipush(kind, key):
             return False
-    if kind is ContextKind.SHAPE:
-        return any(mean)
-    if kind in _FORMLESS:
-        return True
+    if kind is not ContextKind.INDICATOR and kind is not ContextKind.VISUAL:
+        return kind is not ContextKind.SHAPE or any(mean)  # of the others no form is known
     known = known_object(kind, key)
     length = pusher[3] if len(pusher) > 3 else PUSH_LENGTH_M
     return not known.flags and is_plain_contact(known, x, y, angle, length, PUSHER_RADIUS_M)
