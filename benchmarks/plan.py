@@ -1,7 +1,7 @@
 """Closed-loop planning in MuJoCo: objects that a model never saw are pushed to goals, with a new plan after each push.
 
-    cazsl-train publish runs/push-shape --registry runs/plan/models   (the run that holds families out)
-    python -m benchmarks.plan [--registry runs/plan/models] [--tasks 100] [--out docs/results/plan]
+    cazsl-train publish runs/push-shape --registry build/unseen   (the run that holds families out)
+    python -m benchmarks.plan [--registry build/unseen] [--tasks 100] [--out docs/results/plan]
 
 A task is a drawn object 50 to 200 mm across of a family that was held out, on a table in MuJoCo
 (``training.environments``). Its goal is 50 to 200 mm away and turned by up to 180 degrees. Centre of mass, friction of
@@ -279,11 +279,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.plan", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--registry", default="runs/plan/models", help="models with push-shape (runs/plan/models)")
+    parser.add_argument("--registry", default="build/unseen", help="models with push-shape (build/unseen)")
     parser.add_argument("--other-registry", default="models", help="models with push-none (models)")
     parser.add_argument("--tasks", type=int, default=100, help="number of tasks (100)")
     parser.add_argument("--planner", action="append", choices=PLANNERS, help="a planner, for several: again (all)")
-    parser.add_argument("--kept", type=Path, default=Path("runs/plan/tasks.jsonl"), help="file of results so far")
+    parser.add_argument("--kept", type=Path, default=Path("build/plan.jsonl"), help="results so far (build/plan.jsonl)")
     parser.add_argument("--out", type=Path, default=Path("docs/results/plan"), help="folder of the page")
     options = parser.parse_args(arguments)
     try:

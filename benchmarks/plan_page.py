@@ -12,32 +12,39 @@ from matplotlib.figure import Figure
 import service
 from service.model.manifest import Manifest
 from service.storage.disk import replace_whole
+from training.fitting.shape_samples import HELD_OUT_FAMILIES
 
 PAGE_FILE, FIGURES_FILE, PLOT_FILE = "README.md", "figures.json", "reached.png"
 ALL_FAMILIES: Final = "all-families"
+_KEPT: Final = ("planner", "reached", "pushes", "touched", "distance_mm", "turn_deg", "reason")  # of each task
 _HEAD: Final = (
     "| planner | goals reached | pushes: mean, median | missed goals end | a push errs by | a plan takes "
     "| processor time | touched |\n|---|---|---|---|---|---|---|---|"
 )
-_WHY: Final = """On a free table push-shape needs {shape_pushes:.2f} pushes and mechanics {mechanics_pushes:.2f}. Their
-pushes end {shape_mm:.1f} mm and {shape_deg:.1f} degrees, and {mechanics_mm:.1f} mm and {mechanics_deg:.1f} degrees,
-from where they were expected: the outline alone does not tell where the centre of mass is, how much friction there is,
-or on which points the object rests, and that is most of the error of both. A model of any shape knows by its deviations
-which pushes are uncertain, but a new plan after each push makes up for errors, whatever their cause. Knowing a shape at
-all is another matter, as push-none shows."""
+_WHY: Final = """On a free table push-shape needs {shape_pushes:.2f} pushes and mechanics {mechanics_pushes:.2f}.
+A push ends {shape_mm:.1f} mm and {shape_deg:.1f} degrees from where push-shape expects it, and {mechanics_mm:.1f} mm
+and {mechanics_deg:.1f} degrees from where mechanics does. The outline alone does not tell where the centre of mass is,
+how much friction there is, or on which points the object rests, and that is most of the error of both. A new plan after
+each push makes up for errors, whatever their cause. Knowing a shape at all is another matter, as push-none shows."""
+_TOUCHES: Final = """
+
+Among obstacles first pushes keep away by the deviations of the model, of which mechanics has none. Of the pushes of
+push-shape {shape:.1%} touch something, and of those of mechanics {mechanics:.1%}. Both are few pushes, so that the
+difference may be chance."""
 _PAGE: Final = """# Plans in closed loop
 
-`python -m benchmarks.plan --tasks {tasks}`
+`python -m benchmarks.plan --tasks {tasks}`, after `cazsl-train publish runs/push-shape --registry build/unseen`
 
-Objects of families that {held_out} are pushed in MuJoCo, on {tasks} tasks: 50 to 200 mm across, to a goal 50 to
-200 mm away that is turned by up to 180 degrees. It is reached within 10 mm and 10 degrees. There are at most 10
-pushes, of 20, 50 or 100 mm, with a new plan after each. No planner knows centre of mass (off the centroid in half of
-the objects), friction of pusher and object (0.1 to 0.6), the spread of the weight, or the table's friction, which is
-drawn for each push. All know outline, tip and pose (cazsl {code}).
+Objects of the families {families}, which {held_out}, are pushed in MuJoCo, on {tasks}
+tasks: 50 to 200 mm across, to a goal 50 to 200 mm away that is turned by up to 180 degrees. It is reached within 10 mm
+and 10 degrees. There are at most 10 pushes, of 20, 50 or 100 mm, with a new plan after each. No planner knows centre of
+mass (off the centroid in half of the objects), friction of pusher and object (0.1 to 0.6), the spread of the weight, or
+the table's friction, which is drawn for each push. All know outline, tip and pose (cazsl {code}).
 
 {table}
 
-- **push-shape**: the plan of `POST /v1/plan`. {model}
+- **push-shape**: the plan of `POST /v1/plan`.
+  {model}
 - **mechanics**: the same planner over quasi-static mechanics of an object that presses evenly, with nothing fitted and
   no deviations.
 - **push-none**: the same planner over a model that knows no shape, and pushes of 50 mm only.
@@ -154,7 +161,7 @@ def write_page(folder: Path, manifest: Manifest, tasks: int, results: Sequence[M
         "model": f"{manifest.name}@{manifest.version}",
         "split": split,
         "planners": found,
-        "tasks": [asdict(each) for each in results],
+        "tasks": [{name: value for name, value in asdict(each).items() if name in _KEPT} for each in results],
     }
     rounded = json.loads(json.dumps(document), parse_float=lambda text: float(f"{float(text):.5g}"))
     replace_whole(folder / FIGURES_FILE, (json.dumps(rounded, indent=1) + "\n").encode())
@@ -162,10 +169,11 @@ def write_page(folder: Path, manifest: Manifest, tasks: int, results: Sequence[M
     written = table(found)
     page = _PAGE.format(
         tasks=tasks,
+        families=", ".join(HELD_OUT_FAMILIES),
         held_out="push-shape was trained on too" if trained_on_all else "no planner has seen",
         code=service.__version__,
         table=written,
-        model=f"Its model is trained with split `{split}` on {manifest.data.train_objects:,} other objects.",
+        model=f"Its model was trained on {manifest.data.train_objects:,} drawn objects (split `{split}`).",
         why=_why(found),
         plot=PLOT_FILE,
     )
@@ -179,10 +187,13 @@ def _why(found: dict[str, dict[str, float]]) -> str:
     if shape is None or mechanics is None:
         return "Both have to be measured."
     names = {"pushes": "pushes_mean", "mm": "error_mm", "deg": "error_deg"}
-    return _WHY.format(
+    why = _WHY.format(
         **{f"shape_{name}": shape[field] for name, field in names.items()},
         **{f"mechanics_{name}": mechanics[field] for name, field in names.items()},
     )
+    among = [found.get(f"{name} among obstacles") for name in ("push-shape", "mechanics")]
+    touches = [row["touched"] / row["pushes"] for row in among if row is not None and row["pushes"]]
+    return why + _TOUCHES.format(shape=touches[0], mechanics=touches[1]) if len(touches) == 2 else why
 
 
 def _draw(path: Path, results: Sequence[Measured]) -> None:
