@@ -36,7 +36,7 @@ WORKSPACE: Final = [[0.0, 0.0], [0.52, 0.0], [0.52, 0.34], [0.0, 0.34]]
 OBSTACLE: Final = [[0.24, 0.2], [0.29, 0.2], [0.29, 0.34], [0.24, 0.34]]
 MOST_PUSHES: Final = 12
 SEED: Final = 4
-_COLUMNS: Final = 3
+_COLUMNS: Final = 4
 
 
 @dataclass(frozen=True, eq=False)
