@@ -35,7 +35,6 @@ from service.pushing.onnx_interface import OUTPUTS, expected_inputs
 ROWS = 1000
 CONNECTIONS = 16
 CORNERS = 64
-PARTS = ("singles", "batches", "shapes", "images", "rollouts", "plans", "start")
 EMPTY = "(a) empty FastAPI endpoint, same schemas"
 _JSON: Final = {"Content-Type": "application/json"}
 _VARIED = """
@@ -207,11 +206,21 @@ def plan_load() -> Load:
     return Load("/v1/plan", json.dumps(body).encode(), _JSON)
 
 
+def refine_load() -> Load:
+    """Return a request to refine an outline by ten pushes."""
+    pushers = [[-0.1, 0.004 * number - 0.02, 0.0] for number in range(10)]
+    outcomes = [[0.03, 0.0, 0.1 - 0.02 * number] for number in range(10)]
+    body = {"context": {"outline": outline()}, "pushers": pushers, "outcomes": outcomes}
+    return Load("/v1/contexts/refine", json.dumps(body).encode(), _JSON)
+
+
 BESIDE: Final[dict[str, tuple[str, Callable[[], Load]]]] = {
     "images": ("while photographs are decoded", image_load),
     "rollouts": ("while sequences are rolled out", rollout_load),
+    "refine": ("while contexts are refined", refine_load),
     "plans": ("while plans are searched", plan_load),
 }
+PARTS = ("singles", "batches", "shapes", *BESIDE, "start")
 
 
 def pushes_beside(ours: Server, part: str, folder: Path, rounds: int, seconds: int) -> None:

@@ -80,7 +80,7 @@ KNOWN_PUSHES: Final = json_examples(
         },
         "one push in the world, of an object whose centre of mass is known about": {
             "context": {"outline": L_EXAMPLE, "centre_of_mass": [-0.01, -0.012], "friction": 0.3},
-            "object_poses": [POSE_EXAMPLE],
+            "object_poses": [[0.4, 0.1, 0.0]],
             "pushers": [[0.34, 0.08, 0.0]],
             "outcomes": [[0.438, 0.1, 0.12]],
             "seed": 7,

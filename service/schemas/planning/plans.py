@@ -213,7 +213,7 @@ class PlanResponse(Body):
             examples=[0.8],
         ),
     ]
-    reason: Annotated[ReasonBody | None, Field(description="why there is no plan, or null", examples=[None])]
+    reason: Annotated[ReasonBody | None, Field(description="why there is no plan, or null", examples=[None])] = None
     stopped: Annotated[
         bool,
         Field(
