@@ -1,11 +1,14 @@
 """Plans: a box is brought to its goal, around obstacles, or the reason is given."""
 
 import itertools
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from service.errors import DeadlineError
 from service.planning.particles import Region, moved
 from service.planning.paths import Paths
 from service.planning.plan import Plan, PlanTask, Reason, plan
@@ -13,6 +16,7 @@ from service.planning.push_model import PushOutcomes
 from service.planning.surroundings import Surroundings
 from service.pushing import mechanics
 from service.pushing.poses import DoubleArray, into_object_frame
+from service.turns import TURN
 from tests.service.planning.boxes import BOX, RADIUS_M, Mechanics, square
 
 ROOM = square(0.0, 0.0, 1.0)
@@ -162,3 +166,36 @@ def test_a_longer_budget_considers_more_pushes() -> None:
     counts = [planned(replace(TASK, time_s=time_s)).candidates for time_s in (0.05, 0.1, 2.0)]
     assert counts == sorted(counts)
     assert counts[0] <= 200 < counts[2] <= 2000
+
+
+def test_a_plan_that_is_no_longer_wanted_ends_at_its_next_pause() -> None:
+    """Candidates, search, and particles all pause, so the job ends wherever it is."""
+
+    class Leaving:
+        """Turn whose job is no longer wanted after some pauses."""
+
+        def __init__(self, pauses: int) -> None:
+            self.left = pauses
+
+        def pause(self, needed_bytes: int) -> None:
+            """End the job once its pauses are over."""
+            self.left -= 1
+            if self.left < 0:
+                raise DeadlineError(1.0)
+
+        def ending(self, end: Callable[[], None]) -> AbstractContextManager[None]:
+            """Never end anything from another thread."""
+            return nullcontext()
+
+    all_pauses = Leaving(10_000)
+    token = TURN.set(all_pauses)
+    try:
+        planned(TASK)
+        count = 10_000 - all_pauses.left
+        for pauses in (0, count // 2, count - 1):
+            TURN.set(Leaving(pauses))
+            with pytest.raises(DeadlineError):
+                planned(TASK)
+    finally:
+        TURN.reset(token)
+    assert count > 20
