@@ -114,6 +114,12 @@ def test_the_program_in_the_simulator_reaches_its_goal(port: int, folder: Path) 
     assert re.search(r"^\d+ pushes, \d+ mm from the goal, reached: True$", printed, re.MULTILINE), printed
 
 
+def test_the_python_of_the_readme_plans_a_push(port: int, folder: Path) -> None:
+    """The snippet of the README prints the first push of a plan."""
+    (block,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "README.md").read_text("utf-8"), re.MULTILINE | re.DOTALL)
+    assert len(run_python(block, port, folder).strip("[] \n").split()) == 4
+
+
 def run_python(code: str, port: int, folder: Path) -> str:
     """Run code against the service, with warnings as errors and without a display. Return its output."""
     path = f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
