@@ -89,10 +89,11 @@ def test_every_line_about_the_client_runs(port: int, folder: Path) -> None:
 def test_every_line_about_planning_runs(port: int, folder: Path) -> None:
     """The code blocks of docs/planning.md run as one program, but for those that are programs of their own."""
     blocks = [block for block in PLANNING_BLOCKS if not block.startswith(("import matplotlib", "import gymnasium"))]
-    assert len(blocks) == 6
+    assert len(blocks) == 7
     printed = run_python("\n".join(blocks), port, folder)
     assert "turns the object least" in printed
     assert "touches something with probability 0.0" in printed
+    assert "weight at [0.0" in printed
 
 
 def test_the_program_from_a_photograph_to_three_pushes_draws_them(port: int, folder: Path) -> None:

@@ -14,7 +14,7 @@ Constants were chosen on simulated pushes. ``benchmarks/refine.py`` measures the
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -23,7 +23,7 @@ from service.planning.bodies import PARAMETERS, Bodies
 from service.planning.mixtures import Gaussian, Mixture, Student, student_log_density
 from service.planning.push_model import Rows
 from service.pushing.poses import DoubleArray, wrap_angles
-from service.pushing.shape_context import ShapeContext, ShapeTensors
+from service.pushing.shape_context import SURE, ShapeContext, ShapeTensors
 
 MOST_PUSHES: Final = 50
 FIRST, LATER = 160, 96  # hypotheses of a round
@@ -62,7 +62,7 @@ class Refined:
     """Posterior over the body of an object.
 
     Attributes:
-        context: the same object with the mean of the posterior.
+        context: the same object with the mean of the posterior, whose centre of mass may not be sure.
         std: (6,) standard deviations of ``PARAMETERS`` about it.
         correlation: (6, 6).
         prior_std: (6,) standard deviations before the pushes.
@@ -137,7 +137,7 @@ def refine(
     explained, outlier, _ = _terms(model, bodies, mean[None], pushes, outcomes, NAMING_TAIL)
     units = bodies.units(mean)
     return Refined(
-        bodies.context(mean),
+        replace(bodies.context(mean), centre_is_sure=math.hypot(*std[:2]) <= SURE),
         std * units,
         covariance / np.outer(std, std),
         prior.std() * units,

@@ -44,6 +44,7 @@ def push(
     friction: npt.ArrayLike = FRICTION,
     centre_of_mass_m: npt.ArrayLike | None = None,
     steps: int = STEPS,
+    arm: float = 1.0,
 ) -> DoubleArray:
     """Return the object's poses (n, 3) after pushes, x_m, y_m, yaw_rad, in its frame before the push.
 
@@ -57,6 +58,7 @@ def push(
         friction: coefficient of friction of tip and object, one for all or (n,).
         centre_of_mass_m: (2,), the centroid of the outline if left out.
         steps: steps of the motion in contact.
+        arm: moment arm of the pressure over that of even pressure.
     """
     pushers = np.asarray(pushers, dtype=np.float64)
     outcomes = np.zeros((len(pushers), 3))
@@ -70,7 +72,7 @@ def push(
     pushers, travel = pushers[touches], travel[touches]
     direction = np.stack([np.cos(pushers[:, 2]), np.sin(pushers[:, 2])], axis=1)
     tip = pushers[:, :2] + travel[:, None] * direction
-    arm_m = moment_arm_m(outline, centre)
+    arm_m = arm * moment_arm_m(outline, centre)
     touching = _Touching(outline, centre, arm_m, np.minimum(radius, outline.distance_m(tip)), coefficient)
     advance = direction * ((pushers[:, 3] - travel) / steps)[:, None]
     pose = np.concatenate([np.broadcast_to(centre, tip.shape), np.zeros((len(tip), 1))], axis=1)

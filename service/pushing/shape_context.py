@@ -18,6 +18,7 @@ from service.pushing.support import EVEN_PRESSURE, MOST_POINTS, Pressure, suppor
 
 PUSHER_RADIUS_M: Final = 0.00475  # of a tip of unknown radius: that of Omnipush
 FRICTION: Final = 0.20  # of tip and object, if it is not known: least error on recorded pushes of steel shapes
+SURE: Final = 0.1  # std of a centre of mass in sizes of the object, above which it counts as not known
 SHAPE_REACH_M: Final = 10.0  # of corners and pushers from the origin of the caller's frame
 CORNERS: Final = 64  # of the outline that a graph takes
 SILHOUETTE_SIZE: Final = 32
@@ -61,6 +62,7 @@ class ShapeContext:
         friction: coefficient of friction of pusher and object.
         pusher_radius_m: radius of the round tip.
         pressure: spread of the weight over the underside, see ``support``.
+        centre_is_sure: whether the centre of mass counts as known: not if pushes have told it only about.
     """
 
     outline: Outline
@@ -68,6 +70,7 @@ class ShapeContext:
     friction: float | None = None
     pusher_radius_m: float | None = None
     pressure: Pressure | None = None
+    centre_is_sure: bool = True
 
     @property
     def kind(self) -> ContextKind:
@@ -82,7 +85,7 @@ class ShapeContext:
             *outline.centroid_m,
             outline.size_m,
             *centre,
-            self.centre_of_mass_m is not None,
+            self.centre_of_mass_m is not None and self.centre_is_sure,
             moment_arm_m(outline, centre),  # of even pressure, as in training
             FRICTION if self.friction is None else self.friction,
             self.friction is not None,

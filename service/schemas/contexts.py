@@ -3,6 +3,7 @@
 import base64
 import binascii
 import math
+from dataclasses import replace
 from typing import Annotated, Any, Final
 
 import numpy as np
@@ -20,7 +21,7 @@ from service.pushing.contexts import (
 from service.pushing.image_quality import QualityFlag
 from service.pushing.images import decode, visual_context
 from service.pushing.outlines import FEWEST_CORNERS, MOST_CORNERS
-from service.pushing.shape_context import ShapeContext
+from service.pushing.shape_context import SURE, ShapeContext
 from service.schemas.body import at_most
 from service.schemas.posteriors import UNCERTAIN, PosteriorBody
 from service.schemas.shapes import (
@@ -150,7 +151,8 @@ class ContextBody(ShapeDetails):
         PosteriorBody | None,
         Field(
             description="how sure centre_of_mass, friction and pressure are, as POST /v1/contexts/refine answers. It "
-            "is the prior if more pushes refine the context. Predictions do not need it.",
+            "is the prior if more pushes refine the context. The centre of mass counts as unknown while its standard "
+            "deviation is over a tenth of the object's size.",
             examples=[None],
         ),
     ] = None
@@ -175,7 +177,7 @@ class ContextBody(ShapeDetails):
             return None
         if self.posterior is not None and self._lacks_mean():
             return None
-        return self.shape_key(self.outline)
+        return self.shape_key(self.outline, 0.0 if self.posterior is None else self.posterior.centre_std())
 
     @property
     def is_shape(self) -> bool:
@@ -204,7 +206,10 @@ class ContextBody(ShapeDetails):
             raise InvalidRequestError.at(where, received, f"exactly one of {', '.join(FORMS)}")
         self._check_details(given[0], where)
         if self.outline is not None:
-            return self.shape(read_outline(self.outline, f"{where}.outline"), where), ()
+            shape = self.shape(read_outline(self.outline, f"{where}.outline"), where)
+            if self.posterior is not None and self.posterior.centre_std() > SURE * shape.outline.size_m:
+                shape = replace(shape, centre_is_sure=False)
+            return shape, ()
         if self.support is not None:
             return self.support.to_domain(f"{where}.support"), ()
         if self.descriptor is not None:

@@ -1,5 +1,6 @@
 """Posterior of a refined context: how sure the values are that pushes told of an object's body."""
 
+import math
 from typing import Annotated, Final, Self
 
 import numpy as np
@@ -61,6 +62,10 @@ class PosteriorBody(Body):
         if not (is_one and np.abs(found).max() <= 1.0 and np.linalg.eigvalsh(found).min() >= -_ROUNDED):
             raise PydanticCustomError("correlation", "correlations as POST /v1/contexts/refine answers them")
         return self
+
+    def centre_std(self) -> float:
+        """Return the standard deviation of the centre of mass in m, of both coordinates together."""
+        return math.hypot(*self.std[:2])
 
     def moments(self) -> tuple[DoubleArray, DoubleArray]:
         """Return standard deviations (6,) and the correlation (6, 6), positive definite in spite of dropped digits."""

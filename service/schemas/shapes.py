@@ -22,8 +22,9 @@ OUTLINE_EXAMPLE: Final = [[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06, -0
 L_EXAMPLE: Final = [[-0.05, -0.05], [0.05, -0.05], [0.05, -0.02], [-0.02, -0.02], [-0.02, 0.05], [-0.05, 0.05]]
 _FINEST_DIGIT: Final = 3  # of a pixel
 _Pressure = Annotated[float, Field(json_schema_extra={"minimum": -MOST_PRESSURE, "maximum": MOST_PRESSURE})]
-ShapeKey = tuple[bytes, tuple[float, ...] | None, float | None, float | None, tuple[float, ...] | None]
-"""Content of a shape: the bytes of its corners, centre of mass, friction, the pusher's radius, and the pressure."""
+ShapeKey = tuple[bytes, tuple[float, ...] | None, float | None, float | None, tuple[float, ...] | None, float]
+"""Content of a shape: the bytes of its corners, centre of mass, friction, the pusher's radius, the pressure, and the
+standard deviation of the centre of mass."""
 
 
 def listed(found: Any) -> Any:
@@ -129,11 +130,11 @@ class ShapeDetails(Body):
             None if pressure is None else (pressure[0], pressure[1], pressure[2]),
         )
 
-    def shape_key(self, corners: list[list[float]]) -> ShapeKey:
+    def shape_key(self, corners: list[list[float]], centre_std_m: float) -> ShapeKey:
         """Return the content of a shape, by which its tensors can be cached."""
         packed = struct.pack(f"{2 * len(corners)}d", *itertools.chain.from_iterable(corners))
         centre, pressure = (None if value is None else tuple(value) for value in (self.centre_of_mass, self.pressure))
-        return packed, centre, self.friction, self.pusher_radius, pressure
+        return packed, centre, self.friction, self.pusher_radius, pressure, centre_std_m
 
 
 SCALE: Final = "metres_per_pixel"

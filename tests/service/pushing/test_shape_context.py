@@ -75,3 +75,10 @@ def test_pressure_changes_the_support_alone() -> None:
     assert np.abs(rim.support[:, 2] - even.support[:, 2]).max() > 0.01
     assert rim.support[:, :2].tobytes() == even.support[:, :2].tobytes()
     assert rim.body.tobytes() == even.body.tobytes()
+
+
+def test_a_centre_of_mass_that_is_not_sure_is_passed_on_as_unknown() -> None:
+    """Its place is in the tensor, and its flag is 0."""
+    body = ShapeContext(Outline.of(BOX), (0.05, 0.03), centre_is_sure=False).tensors().body
+    assert body[BODY.index("centre_of_mass_x")] == pytest.approx(0.05)
+    assert body[BODY.index("centre_of_mass_is_known")] == 0.0

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from service.errors import InvalidRequestError
+from service.pushing.shape_context import ShapeContext
 from service.schemas.body import validate_body
 from service.schemas.contexts import ContextBody
 from service.schemas.posteriors import CORRELATION_EXAMPLE, STD_EXAMPLE
@@ -39,9 +40,15 @@ def test_moments_are_positive_definite_in_spite_of_dropped_digits() -> None:
     assert np.isfinite(np.linalg.cholesky(found)).all()
 
 
-def test_a_posterior_does_not_change_the_shape() -> None:
-    """Predictions see the mean alone, so the key of the shape is the same without its posterior."""
-    assert read(REFINED).key == read(REFINED | {"posterior": None}).key is not None
+def test_a_centre_of_mass_that_is_not_sure_counts_as_unknown() -> None:
+    """Over a tenth of the object's size, the model is told that the centre of mass is not known, and keys differ."""
+    surest = read(REFINED | {"posterior": None})
+    sure, unsure = (
+        read(REFINED | {"posterior": POSTERIOR | {"std": [std, std, *STD_EXAMPLE[2:]]}}) for std in (0.002, 0.02)
+    )
+    shapes = [body.to_domain() for body in (surest, sure, unsure)]
+    assert [isinstance(shape, ShapeContext) and shape.centre_is_sure for shape in shapes] == [True, True, False]
+    assert len({body.key for body in (surest, sure, unsure)}) == 3
 
 
 def asymmetric() -> list[list[float]]:

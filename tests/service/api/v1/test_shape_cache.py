@@ -12,7 +12,7 @@ from tests.served_graphs import BOX
 
 def key(number: int) -> ShapeKey:
     """Return the key of a shape."""
-    return bytes([number]), None, None, None, None
+    return bytes([number]), None, None, None, None, 0.0
 
 
 def test_the_shapes_that_were_used_last_are_kept() -> None:
