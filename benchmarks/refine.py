@@ -112,7 +112,7 @@ def _command(options: argparse.Namespace) -> str:
 
 
 REPEATS: Final = 3
-OBJECTS: Final = 20
+OBJECTS: Final = 15
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

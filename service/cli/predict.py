@@ -51,6 +51,7 @@ MAX_IMAGE_BYTES: Final = 8 << 20  # as large as a decoder accepts
 @option("--centre-of-mass", nargs=2, type=float, metavar="X_M Y_M", help="Centre of mass of a shape, in its frame.")
 @option("--friction", type=float, help="Coefficient of friction of pusher and shape.")
 @option("--pusher-radius", type=float, help="Radius of the round tip that pushes a shape, in m.")
+@option("--pressure", nargs=3, type=float, metavar="XX XY YY", help="Spread of a shape's weight, see docs/planning.md.")
 @registry_option
 @errors_as_one_line
 def predict(

@@ -23,6 +23,7 @@ class _Properties(TypedDict, total=False):
     centre_of_mass: npt.ArrayLike
     friction: float
     pusher_radius: float
+    pressure: npt.ArrayLike
 
 
 class Details(_Properties, total=False):

@@ -160,8 +160,8 @@ class Client(BlockingPlanning):
 
         Args:
             image: a mask or a photograph from above, as in ``predict_image``.
-            details: ``metres_per_pixel``, the scale, and if known ``centre_of_mass``, ``friction`` and
-                ``pusher_radius``, which go into the context. See ``ContextBody``.
+            details: ``metres_per_pixel``, the scale, and if known ``centre_of_mass``, ``friction``,
+                ``pusher_radius`` and ``pressure``, which go into the context. See ``ContextBody``.
         """
         return self._send(calls.find_outline(image, details))
 

@@ -62,9 +62,10 @@ def test_an_outline_in_a_file_is_pushed_by_any_length(with_shapes: Path, tmp_pat
     """A context in JSON and options for its details give the answer of the client."""
     (tmp_path / "box.json").write_text(json.dumps({"outline": OUTLINE_EXAMPLE}))
     options = ("--context", str(tmp_path / "box.json"), "--length", "0.02", "--friction", "0.3")
-    result = predict(*options, "--centre-of-mass", "0.01", "0", "--", "-0.1", "0", "0", registry=with_shapes)
+    details = ("--centre-of-mass", "0.01", "0", "--pressure", "1", "0", "-1")
+    result = predict(*options, *details, "--", "-0.1", "0", "0", registry=with_shapes)
     assert result.exit_code == 0, result.output
-    context = ContextBody(outline=OUTLINE_EXAMPLE, friction=0.3, centre_of_mass=[0.01, 0.0])
+    context = ContextBody(outline=OUTLINE_EXAMPLE, friction=0.3, centre_of_mass=[0.01, 0.0], pressure=[1.0, 0.0, -1.0])
     with Client.local(str(with_shapes)) as client:
         answer = client.predict([-0.1, 0.0, 0.0], context, length=0.02)
     assert json.loads(result.output) == answer.model_dump(exclude_none=True)

@@ -70,10 +70,15 @@ def test_lengths_are_sent_as_one_number_or_one_per_push() -> None:
 
 def test_details_of_an_image_are_fields_of_its_form() -> None:
     """Scale and properties are sent in JSON beside the file, for predictions and for a context."""
-    details: ScaledDetails = {"metres_per_pixel": 0.0005, "centre_of_mass": np.array([0.01, 0.0])}
+    details: ScaledDetails = {
+        "metres_per_pixel": 0.0005,
+        "centre_of_mass": np.array([0.01, 0.0]),
+        "pressure": np.array([1.0, 0.0, 1.0]),
+    }
     for call in (calls.predict_image(b"", PUSHERS, None, None, 0.02, details), calls.find_outline(b"", details)):
         assert json.loads(call.body["data"]["metres_per_pixel"]) == 0.0005
         assert json.loads(call.body["data"]["centre_of_mass"]) == [0.01, 0.0]
+        assert json.loads(call.body["data"]["pressure"]) == [1.0, 0.0, 1.0]
     with pytest.raises(ProblemError, match=r"friction: received"):
         calls.find_outline(b"", {"metres_per_pixel": 0.0005, "friction": np.nan})
 
