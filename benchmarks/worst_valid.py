@@ -84,6 +84,10 @@ def _questions(size: int) -> Iterator[tuple[str, str, dict[str, Any]]]:
     yield "/v1/rollout", "48 pushes with 1,024 particles each, returned", question | returned
     around = {"spacing": 0.0026, "angles": [0.01 * number for number in range(64)]}
     yield "/v1/push-map", "64 angles at 100 places", {"context": question["context"]} | around
+    pushers = [[-0.1, 0.001 * (number - 25), 0.0] for number in range(50)]
+    outcomes = [[0.02, 0.0, 0.001 * number] for number in range(50)]
+    known = {"context": question["context"], "pushers": pushers, "outcomes": outcomes}
+    yield "/v1/contexts/refine", "50 pushes of one outline of 512 corners", known
 
 
 def _outlines(count: int, corners: int) -> list[dict[str, Any]]:
