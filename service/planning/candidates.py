@@ -33,13 +33,15 @@ class Candidates:
         parameters: (n, 3) place along the outline as a share of it, angle from the inward normal, travel in m.
         pushes: (n, 4) x_m, y_m, angle_rad, length_m in the object frame.
         motions: (n, 3) predicted means.
-        std: (n, 3) predicted deviations.
+        std: (n, 3) predicted deviations of the object frame.
+        centre_std: (n, 3) likewise of the object's centre, and of its yaw.
     """
 
     parameters: DoubleArray
     pushes: DoubleArray
     motions: DoubleArray
     std: DoubleArray
+    centre_std: DoubleArray
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,12 +89,15 @@ class Pusher:
             parts.append(self.model(pushes[first : first + ROWS_AT_ONCE]))
             pause()
         if not parts:
-            return Candidates(parameters, pushes, np.zeros((0, 3)), np.zeros((0, 3)))
-        mean, std = np.concatenate([part.mean for part in parts]), np.concatenate([part.std for part in parts])
+            return Candidates(parameters, pushes, *np.zeros((3, 0, 3)))
+        mean = np.concatenate([part.mean for part in parts])
+        std, centre_std = (
+            np.concatenate(found) for found in ([part.frame_std() for part in parts], [part.std for part in parts])
+        )
         kept = ~np.concatenate([part.misses for part in parts])
         familiar = kept & ~np.concatenate([part.unfamiliar for part in parts])
         rows = np.flatnonzero(familiar if familiar.any() else kept)
-        return Candidates(parameters[rows], pushes[rows], mean[rows], std[rows])
+        return Candidates(parameters[rows], pushes[rows], mean[rows], std[rows], centre_std[rows])
 
     def _pushes(self, parameters: DoubleArray) -> DoubleArray:
         """Return the pushes (n, 4) of parameters (n, 3)."""

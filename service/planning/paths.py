@@ -18,12 +18,13 @@ import numpy.typing as npt
 from service.planning.particles import moved
 from service.planning.surroundings import Surroundings
 from service.pushing.outlines import Outline
-from service.pushing.poses import DoubleArray, into_object_frame, wrap_angles
+from service.pushing.poses import DoubleArray, wrap_angles
 from service.turns import pause
 
 Rows = npt.NDArray[np.bool_]
 MOST_POINTS: Final = 256  # of an outline
 MOST_STEPS: Final = 64  # of a tip's way
+FINE_M: Final = 0.005  # between samples, whatever the clearance
 MOST_OF_OBJECT: Final = 4 * MOST_STEPS  # of an object's, whose corners go further as it turns
 _POINTS_AT_ONCE: Final = 1 << 14
 
@@ -49,9 +50,15 @@ class Paths:
     is_over: Callable[[], bool] = lambda: False
 
     @cached_property
+    def spacing_m(self) -> float:
+        """Return the distance between samples: the clearance, at most ``FINE_M``, or more for few samples."""
+        fine_m = min(self.clearance_m, FINE_M)
+        return max(fine_m, self.outline.perimeter_m / MOST_POINTS, self.longest_m / MOST_STEPS)
+
+    @cached_property
     def kept_m(self) -> float:
-        """Return the distance between samples, which they keep: the clearance, or more for few samples."""
-        return max(self.clearance_m, self.outline.perimeter_m / MOST_POINTS, self.longest_m / MOST_STEPS)
+        """Return the distance that samples keep: the clearance, and no less than the distance between them."""
+        return max(self.clearance_m, self.spacing_m)
 
     @cached_property
     def _points(self) -> DoubleArray:
@@ -60,7 +67,7 @@ class Paths:
         lengths = np.hypot(edges[:, 0], edges[:, 1])
         parts = []
         for corner, edge, length in zip(self.outline.corners, edges, lengths, strict=True):
-            count = max(1, int(np.ceil(length / self.kept_m)))
+            count = max(1, int(np.ceil(length / self.spacing_m)))
             parts.append(corner + edge * (np.arange(count)[:, None] / count))
         return np.concatenate(parts) - self.outline.centroid_m
 
@@ -76,12 +83,21 @@ class Paths:
         return float(np.hypot(self.outline.corners[:, 0], self.outline.corners[:, 1]).max())
 
     def gap_m(self, pose: DoubleArray) -> float:
-        """Return how far the object at a pose (3,) is from what is forbidden, negative if it overlaps it."""
+        """Return how far the object at a pose (3,) is from what is forbidden, exactly, or -inf if it overlaps it.
+
+        The distance of two polygons that do not overlap is that of a corner of one from the other.
+        """
+        corners = _placed(self.outline.corners - self.outline.centroid_m, self._centres(pose[None]))[0]
+        there = Outline(corners)
+        found = np.inf
         for obstacle in self.surroundings.obstacles:
-            if self.outline.contains(into_object_frame(_poses_at(obstacle.corners[:1]), pose[None])[:, :2])[0]:
-                return -np.inf  # the obstacle is inside of the object, whose edge may be far from it
-        points = _placed(self._points, self._centres(pose[None]))[0]
-        return float(self.surroundings.distance_m(points).min())
+            apart = min(float(obstacle.distance_m(corners).min()), float(there.distance_m(obstacle.corners).min()))
+            found = min(found, -np.inf if apart <= 0.0 or _cross(there, obstacle) else apart)
+        workspace = self.surroundings.workspace
+        if workspace is not None:
+            apart = min(-float(workspace.distance_m(corners).max()), float(there.distance_m(workspace.corners).min()))
+            found = min(found, -np.inf if apart <= 0.0 or _cross(there, workspace) else apart)
+        return found
 
     def free(
         self,
@@ -125,7 +141,7 @@ class Paths:
 
     def _steps(self, way_m: float) -> int:
         """Return the samples of a way. Those of a tip are always near enough to each other, see ``kept_m``."""
-        return min(MOST_OF_OBJECT, max(1, int(np.ceil(way_m / self.kept_m)))) + 1
+        return min(MOST_OF_OBJECT, max(1, int(np.ceil(way_m / self.spacing_m)))) + 1
 
     def _centres(self, poses: DoubleArray) -> DoubleArray:
         """Return the poses (n, 3) of a frame at the centroid, of an object at poses (n, 3)."""
@@ -154,6 +170,18 @@ def _placed(points: DoubleArray, poses: DoubleArray) -> DoubleArray:
     return np.stack([poses[:, :1] + cos * x - sin * y, poses[:, 1:2] + sin * x + cos * y], axis=-1)
 
 
-def _poses_at(points: DoubleArray) -> DoubleArray:
-    """Return points (n, 2) as poses (n, 3)."""
-    return np.column_stack([points, np.zeros(len(points))])
+def _cross(first: Outline, second: Outline) -> bool:
+    """Return whether an edge of one outline crosses one of the other."""
+
+    def sides(of: Outline, points: DoubleArray) -> DoubleArray:
+        """Return (edge, point) positive where a point is on the left of an edge."""
+        offset = points[None] - of.corners[:, None]
+        found: DoubleArray = of.edges[:, None, 0] * offset[..., 1] - of.edges[:, None, 1] * offset[..., 0]
+        return found
+
+    def parted(of: Outline, other: Outline) -> Rows:
+        """Return (edge of one, edge of the other) true where the ends of the other edge are on both sides."""
+        side = sides(of, other.corners)
+        return side * np.roll(side, -1, axis=1) < 0.0
+
+    return bool((parted(first, second) & parted(second, first).T).any())

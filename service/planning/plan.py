@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from service.planning.candidates import Candidates, Pusher
 from service.planning.particles import Region, moved
-from service.planning.paths import Paths
+from service.planning.paths import FINE_M, Paths
 from service.planning.push_model import PushModel
 from service.planning.rollout import Rollout, rollout
 from service.planning.search import Found, IsFree, Rows, Search, Sequence, ends_of
@@ -44,6 +44,7 @@ _PARTICLES: Final = (32, 1000)
 _MOST_CHECKED: Final = 100  # particles whose ways are checked
 _NO_PUSHES: Final = np.zeros((0, 4))
 _CROWDED: Final = "the object touches an obstacle or leaves the workspace"
+_LATE: Final = 0.5  # of the budget, beyond it: to count collisions
 _LEAST_KEPT: Final = 0.8  # of the gap at the start, if it is less than the clearance
 
 
@@ -130,10 +131,8 @@ class _Planner:
     def __init__(self, pusher: Pusher, task: PlanTask, clock: Callable[[], float]) -> None:
         self._pusher, self._task, self._clock = pusher, task, clock
         self._until_s = clock() + task.time_s
-        longest_m = float(task.lengths_m[-1])
-        parts = task.surroundings, pusher.outline, pusher.radius_m, longest_m, task.clearance_m
-        self._paths = Paths(*parts, self._is_over)
-        self._all_paths = Paths(*parts)  # whose checks do not end with the time
+        self._late_s = self._until_s + _LATE * task.time_s
+        self._paths = self._paths_keeping(task.clearance_m, self._is_over)
         self._least_m = self._paths.kept_m
         rows = task.time_s * ROWS_PER_S
         self._candidates = round(float(np.clip(_SHARE * rows, *_CANDIDATES)))
@@ -148,7 +147,9 @@ class _Planner:
         gap_m = self._paths.gap_m(task.start)
         if gap_m <= 0.0:
             return self._none(Reason.START_BLOCKED, f"at the start {_CROWDED}")
-        self._least_m = min(self._least_m, _LEAST_KEPT * gap_m)
+        if _LEAST_KEPT * gap_m < self._least_m:  # finer samples, so that nothing lies between them here, too
+            self._paths = self._paths_keeping(_LEAST_KEPT * gap_m, self._is_over)
+            self._least_m = min(self._least_m, _LEAST_KEPT * gap_m)
         goal = np.array(task.goal.pose)
         if self._paths.gap_m(goal) < self._least_m:
             kept = f" by less than the clearance of {self._least_m * 1e3:.3g} mm"
@@ -167,6 +168,11 @@ class _Planner:
         if found.sequence is None:
             return self._without_sequence(found, candidates)
         return self._answer(found.sequence, found.is_complete, candidates)
+
+    def _paths_keeping(self, clearance_m: float, is_over: Callable[[], bool]) -> Paths:
+        pusher, task = self._pusher, self._task
+        longest_m = float(task.lengths_m[-1])
+        return Paths(task.surroundings, pusher.outline, pusher.radius_m, longest_m, clearance_m, is_over)
 
     def _is_over(self) -> bool:
         return self._clock() >= self._until_s
@@ -196,7 +202,7 @@ class _Planner:
 
     def _is_free(self, candidates: Candidates, spreads: float) -> IsFree:
         """Return the check of paths, in which first pushes keep some standard deviations of a corner more."""
-        square = candidates.std**2
+        square = candidates.centre_std**2
         corner_m = np.sqrt((square[:, 0] + square[:, 1]) / 2.0 + self._paths.reach_m**2 * square[:, 2])
 
         def is_free(before: DoubleArray, after: DoubleArray, rows: Rows, is_first: bool) -> npt.NDArray[np.bool_]:
@@ -230,12 +236,16 @@ class _Planner:
         return placed(candidates.pushes[sequence.rows], poses[:-1])
 
     def _collisions(self, pushes: DoubleArray, particles: DoubleArray) -> DoubleArray:
-        """Return the share (k,) of particles (k, p, 3) that touch something up to each push."""
+        """Return the share (k,) of particles (k, p, 3) that touch something up to each push.
+
+        Particles that are not checked before ``_late_s`` count as touching.
+        """
+        paths = self._paths_keeping(FINE_M, lambda: self._clock() >= self._late_s)
         particles = particles[:, :_MOST_CHECKED]
         free, found = np.ones(particles.shape[1], dtype=np.bool_), np.empty(len(pushes))
         before = np.broadcast_to(self._task.start, particles.shape[1:])
         for step, (push, after) in enumerate(zip(pushes, particles, strict=True)):
-            free &= self._all_paths.free(before, after, np.broadcast_to(push, (len(free), 4)), 0.0)
+            free &= paths.free(before, after, np.broadcast_to(push, (len(free), 4)), 0.0)
             found[step] = 1.0 - float(free.mean())
             before = after
         return found

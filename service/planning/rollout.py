@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from service.planning.particles import Moments, moments, moved
-from service.planning.push_model import PushModel
+from service.planning.push_model import PushModel, PushOutcomes
 from service.pushing.poses import DoubleArray, into_object_frame, wrap_angles
 from service.turns import pause
 
@@ -60,15 +60,21 @@ def rollout(model: PushModel, object_pose: DoubleArray, pushes: DoubleArray, par
         met = poses[:, :1] if step == 0 and is_one else poses
         outcomes = model(_in_object_frames(pushes[:, step], met))
         shape = met.shape[:2]
-        noise = rng.standard_normal((particles, 3))
-        motions = outcomes.mean.reshape(*shape, 3) + outcomes.std.reshape(*shape, 3) * noise
-        poses = moved(poses, motions)
+        poses = moved(poses, _motions(outcomes, shape, rng.standard_normal((particles, 3))))
         found[:, step] = poses
         misses[:, step] = outcomes.misses.reshape(shape).mean(axis=1)
         inside[:, step] = outcomes.inside.reshape(shape).mean(axis=1)
         unfamiliar[:, step] = outcomes.unfamiliar.reshape(shape).mean(axis=1)
         pause()
     return Rollout(found, misses, inside, unfamiliar)
+
+
+def _motions(outcomes: PushOutcomes, shape: tuple[int, int], noise: DoubleArray) -> DoubleArray:
+    """Return the motions (s, p, 3) of outcomes of (s, 1) or (s, p) rows, by noise (p, 3) that all sequences share."""
+    sequences, met = shape
+    if met == 1:
+        return outcomes.drawn(noise[:, None]).swapaxes(0, 1)
+    return outcomes.drawn(np.tile(noise, (sequences, 1))).reshape(sequences, met, 3)
 
 
 def _in_object_frames(pushes: DoubleArray, poses: DoubleArray) -> DoubleArray:

@@ -39,7 +39,7 @@ def answer_push_map(models: Snapshot, request: PushMapRequest) -> Answer:
         "points": around.points_m,
         "length": request.length,
         "mean": outcomes.mean,
-        "std": outcomes.std,
+        "std": outcomes.frame_std(),
         "contact": (~outcomes.misses).tolist(),
         "effectiveness": made.effectiveness,
         "uncertainty": made.uncertainty_m,

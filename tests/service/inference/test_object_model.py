@@ -69,3 +69,19 @@ def test_warnings_of_the_object_are_not_those_of_a_push(models: LoadedModels) ->
     assert asked.object_warnings(()) == ()
     (found,) = asked.object_warnings((("pushes", (90.0,)),))
     assert found.code is WarningCode.ANGLE_LOOKS_LIKE_DEGREES
+
+
+def test_a_shape_far_from_the_origin_of_its_frame_is_the_same_object(models: LoadedModels) -> None:
+    """Its centre moves alike with the same spread, and the pose of its frame has the deviations of a prediction."""
+    away = np.array([0.5, -0.3])
+    near = of_kind(models, "shape")(PUSHES[:1])
+    contexts = encode_context(ContextBody(outline=(np.array(OUTLINE_EXAMPLE) + away).tolist()))
+    asked = ObjectModel(models.snapshot.find_default(contexts.kind), contexts)
+    pushes = PUSHES[:1] + np.append(away, [0.0, 0.0])
+    found = asked(pushes)
+    assert found.centre_m == pytest.approx(away, abs=1e-6)
+    assert found.std == pytest.approx(near.std, rel=1e-3)
+    assert found.mean[0, 2] == pytest.approx(near.mean[0, 2], abs=1e-5)
+    plain = predict(asked.model, pushes.astype(np.float32), asked.contexts)
+    assert found.mean == pytest.approx(plain.mean, abs=1e-5)
+    assert found.frame_std() == pytest.approx(plain.std, rel=1e-2)

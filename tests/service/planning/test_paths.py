@@ -109,3 +109,32 @@ def test_paths_that_are_not_checked_in_time_are_not_free() -> None:
     assert late.free(STILL, STILL, push, 0.005).tolist() == [True]
     assert late.free(near, near, push, 0.005).tolist() == [False]
     assert paths(NEEDLE).free(near, near, push, 0.005).tolist() == [True]
+
+
+@pytest.mark.parametrize(
+    "obstacle",
+    [
+        [[0.043, 0.051], [0.017, 0.051], [0.017, 0.025], [0.043, 0.025]],  # a corner of it is inside of the box
+        [[0.0, -0.2], [0.001, -0.2], [0.001, 0.2], [0.0, 0.2]],  # crosses it, with every corner outside
+        [[-0.01, -0.01], [0.01, -0.01], [0.0, 0.01]],  # inside
+        [[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]],  # around it
+    ],
+)
+@pytest.mark.parametrize("clearance_m", [0.001, 0.1])
+def test_an_object_that_overlaps_an_obstacle_has_no_gap(obstacle: list[list[float]], clearance_m: float) -> None:
+    """However they overlap, and whatever the clearance, no sample has to lie in both."""
+    found = paths(Outline.of(obstacle), room=None, clearance_m=clearance_m)
+    assert found.gap_m(np.zeros(3)) == -np.inf
+    assert found.gap_m(np.array([2.0, 0.0, 0.3])) > 0.7
+
+
+def test_a_gap_is_that_of_the_nearest_corner() -> None:
+    """The corner of an obstacle may be nearer to an edge of the object than any corner of the object to it."""
+    spike = Outline.of([[0.013, 0.0437], [0.1, 0.3], [-0.1, 0.3]])
+    assert paths(spike, room=None, clearance_m=0.05).gap_m(np.zeros(3)) == pytest.approx(0.0037)
+
+
+def test_a_large_clearance_does_not_spread_samples() -> None:
+    """Posts between coarse samples would go unnoticed where no clearance is asked for, as in counting collisions."""
+    assert paths(NEEDLE, clearance_m=0.2).spacing_m <= 0.005
+    assert paths(NEEDLE, clearance_m=0.2).kept_m == 0.2

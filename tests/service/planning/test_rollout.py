@@ -88,3 +88,27 @@ def test_starts_inside_of_the_object_are_counted() -> None:
     found = rollout(Slider(), np.array([-0.15, 0.0, 0.0]), AHEAD, 4)
     assert found.inside_probability.tolist() == [[0.0, 0.0, 0.0]]
     assert rollout(Slider(), np.array([-0.1, 0.0, 0.0]), AHEAD, 4).inside_probability.tolist() == [[1.0, 0.0, 0.0]]
+
+
+def test_the_origin_of_the_frame_does_not_matter() -> None:
+    """A spread about the object's centre gives the same clouds of it, wherever the origin of its frame is."""
+    centre = np.array([3.0, -2.0])
+
+    def far(pushes: DoubleArray) -> PushOutcomes:
+        """Move and turn the centre of an object that is far from the origin of its frame."""
+        count = len(pushes)
+        no = np.zeros(count, dtype=np.bool_)
+        turn = 0.3
+        cos, sin = math.cos(turn), math.sin(turn)
+        x, y = centre
+        mean = np.array([x + 0.01 - (cos * x - sin * y), y - (sin * x + cos * y), turn])
+        return PushOutcomes(np.tile(mean, (count, 1)), np.full((count, 3), 0.02), no, no, no, centre)
+
+    found = rollout(far, np.zeros(3), AHEAD[:, :2], 5000, seed=1).particles[0, 0]
+    cos, sin = np.cos(found[:, 2]), np.sin(found[:, 2])
+    x, y = centre
+    middle = np.stack([found[:, 0] + cos * x - sin * y, found[:, 1] + sin * x + cos * y], axis=1)
+    assert middle.mean(axis=0) == pytest.approx(centre + np.array([0.01, 0.0]), abs=0.001)
+    assert middle.std(axis=0) == pytest.approx([0.02, 0.02], rel=0.05)
+    outcomes = far(np.zeros((1, 4)))
+    assert found.std(axis=0) == pytest.approx(outcomes.frame_std()[0], rel=0.05)

@@ -19,7 +19,8 @@ def candidates(
 ) -> Candidates:
     """Return candidates with given motions."""
     found = np.array(motions)
-    return Candidates(np.zeros_like(found), np.zeros((len(found), 4)), found, np.tile(std, (len(found), 1)))
+    deviations = np.tile(std, (len(found), 1))
+    return Candidates(np.zeros_like(found), np.zeros((len(found), 4)), found, deviations, deviations)
 
 
 AHEAD = candidates((STEP_M, 0.0, 0.0), (0.0, STEP_M, 0.0), (0.0, 0.0, 0.5))
@@ -80,7 +81,9 @@ def test_two_sure_pushes_are_better_than_one_that_may_fail() -> None:
     assert sure.sequence is not None
     assert len(sure.sequence.rows) == 1
     known = candidates((0.05, 0.0, 0.0), (0.1, 0.0, 0.0))
-    wild = Candidates(known.parameters, known.pushes, known.motions, np.array([[1e-4, 1e-4, 1e-3], [0.03, 0.03, 0.3]]))
+    wild = Candidates(
+        known.parameters, known.pushes, known.motions, *np.array([[[1e-4, 1e-4, 1e-3], [0.03, 0.03, 0.3]]] * 2)
+    )
     careful = search(wild)
     assert careful.sequence is not None
     assert careful.sequence.rows.tolist() == [0, 0]
