@@ -3,6 +3,7 @@
 import json
 import re
 import socket
+import struct
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +17,7 @@ CORPUS = sorted((ROOT / "tests" / "attacks" / "http").glob("*.http"))
 BODY = b'{"pusher": {"x": -0.075, "y": 0.0, "angle": 0.0}, "context": {"descriptor": "1a2b3c4a"}}'
 HEAD = b"POST /v1/predict HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\nConnection: close\r\n"
 GROWTH_MIB = 64.0
+ROLLED_OUT = 'cazsl_requests_total{route="/v1/rollout",status="200"}'
 SLOW_S = 1.0
 
 
@@ -228,6 +230,25 @@ def test_a_client_that_shuts_its_sending_half_gets_all_answers(service: Service,
         connection.shutdown(socket.SHUT_WR)
         received = b"".join(iter(lambda: connection.recv(1 << 16), b""))
     assert received.count(b"HTTP/1.1 200 OK") == 3
+
+
+@pytest.mark.parametrize("is_reset", [False, True])
+def test_the_work_for_a_client_that_has_left_ends(service: Service, is_reset: bool) -> None:
+    """A rollout of 100,000 particles is neither finished nor answered once its client closes or resets."""
+    push = {"x": -0.1, "y": 0.0, "angle": 0.0}
+    question: dict[str, object] = {"context": {"outline": [[0.06, 0.04], [-0.06, 0.04], [-0.06, -0.04], [0.06, -0.04]]}}
+    question |= {"object_pose": {"x": 0.0, "y": 0.0, "angle": 0.0}, "sequences": [[push] * 50] * 200}
+    body = json.dumps(question).encode()
+    before = metric(service, ROLLED_OUT)
+    connection = service.connect()
+    head = HEAD.replace(b"/v1/predict", b"/v1/rollout").replace(b"Connection: close\r\n", b"")
+    connection.sendall(head + b"Content-Length: %d\r\n\r\n" % len(body) + body)
+    wait_until(lambda: metric(service, "cazsl_worker_jobs") == 1.0)
+    if is_reset:
+        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connection.close()
+    wait_until(lambda: metric(service, "cazsl_worker_jobs") == 0.0)
+    assert metric(service, ROLLED_OUT) == before
 
 
 def test_an_early_refusal_is_read_by_a_client_that_sends_on(service: Service) -> None:

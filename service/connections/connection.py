@@ -54,6 +54,8 @@ class BoundedConnection(ConnectionLifecycle):
         stays = not self._is_ended and (self._is_busy or bool(self._rest) or self._end_of_requests())
         if not stays:
             self._writes.end()  # the transport would close before the bytes that are held
+        elif self._is_busy:
+            self._probe()
         return stays
 
     def resume_writing(self) -> None:

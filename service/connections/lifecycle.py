@@ -15,6 +15,8 @@ from service.errors import CazslError, MalformedRequestError, OverloadedError
 from service.transport.callers import caller_at
 from service.transport.problems import MEDIA_TYPE, problem_body
 
+PROBE_S: Final = 0.25
+_INTERIM: Final = b"HTTP/1.1 102 Processing\r\n\r\n"
 LINGER_S: Final = 0.25  # by then a request has arrived that its client sent before it saw the end
 KERNEL_BYTES: Final = 128 * 1024
 MAX_DISCARDED_BYTES: Final = 1 << 30  # as large as a body may be by any setting
@@ -185,6 +187,21 @@ class ConnectionLifecycle(HttpToolsProtocol):
         head_s = self.listener.limits.head_s
         detail = f"head: received only a part within {head_s:g} s; accepted is all of it within {head_s:g} s"
         self._refuse(HTTPStatus.REQUEST_TIMEOUT, "slow_head", detail)
+
+    def _probe(self, after_s: float = PROBE_S) -> None:
+        """Find out whether a client that sends no more has left, if its answer takes long.
+
+        A client that shut only its sending half ignores interim responses. Those to one that has left come back, which
+        ends the connection, and with it the work for the answer.
+        """
+        if self.scope["http_version"] == "1.1":
+            self.loop.call_later(after_s, self._on_probe, after_s)
+
+    def _on_probe(self, after_s: float) -> None:
+        is_answered = self.cycle is None or self.cycle.response_started
+        if not self._is_ended and self._is_busy and not is_answered:
+            self._bare.write(_INTERIM)
+            self._probe(2.0 * after_s)
 
     def _set_aside(self, data: bytes) -> None:
         """Keep bytes for later, or discard them if the connection ends."""

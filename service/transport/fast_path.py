@@ -5,12 +5,14 @@
 the same ``Endpoints``, so their answers are the same to the byte.
 """
 
+import asyncio
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
+from starlette.requests import ClientDisconnect
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.background.supervision import ENDINGS
@@ -28,6 +30,7 @@ from service.transport.problems import problem_response
 Reply = Callable[[int, Headers, bytes], None]
 Leave = Callable[[], None]
 _OK: Final = 200
+_REPEATS: Final = 2
 _PLAIN_ACCEPT: Final = frozenset((b"*/*", b"application/json"))
 _IMAGE: Final = b'"image"'
 _ESCAPE: Final = b"\\"  # may spell the name of a field
@@ -56,13 +59,43 @@ class FastPath:
         content = (await receive())["body"]  # all of it: admission has read it
         try:
             asked = HttpRequest(scope["headers"], content, parameters, caller_of(scope))
-            answer = await self._endpoints.answer(endpoint, asked)
+            if endpoint.is_read_quickly(asked):
+                answer = await self._endpoints.answer(endpoint, asked)
+            else:
+                answer = await until_left(self._endpoints.answer(endpoint, asked), receive)
+        except ClientDisconnect:
+            return
         except CazslError as error:
             await problem_response(scope, error)(scope, receive, send)
             return
         note_answer(record, answer)
         await send({"type": "http.response.start", "status": _OK, "headers": answer.head()})
         await send({"type": "http.response.body", "body": answer.content})
+
+
+async def until_left(answer: Coroutine[Any, Any, Answer], receive: Receive) -> Answer:
+    """Return an answer that takes long, which is cancelled if its client leaves.
+
+    Raises:
+        ClientDisconnect: the client has left.
+    """
+    working, leaving = asyncio.ensure_future(answer), asyncio.ensure_future(_left(receive))
+    try:
+        await asyncio.wait((working, leaving), return_when=asyncio.FIRST_COMPLETED)
+        if not working.done():
+            raise ClientDisconnect
+        return working.result()
+    finally:
+        leaving.cancel()
+        working.cancel()
+
+
+async def _left(receive: Receive) -> None:
+    """Return once the client has left. The server may repeat the end of the body before it tells."""
+    for _ in range(_REPEATS):
+        if (await receive())["type"] == "http.disconnect":
+            return
+    await asyncio.Event().wait()
 
 
 def note_answer(record: RequestRecord, answer: Answer) -> None:

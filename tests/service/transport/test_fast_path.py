@@ -16,13 +16,16 @@ from fastapi.testclient import TestClient
 from httpx2 import Response
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from starlette.requests import ClientDisconnect
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp
 
 from service.api.open_inference.endpoints import inference_endpoints
 from service.api.v1.endpoints import ENDPOINTS, SINGLE
 from service.app import create_app
+from service.errors import DeadlineError
 from service.inference.loaded_models import LoadedModels
+from service.inference.query import Answer
 from service.observability.logs import RequestLog
 from service.observability.metrics import RequestMetrics
 from service.observability.telemetry import RequestTelemetry
@@ -32,7 +35,7 @@ from service.settings import Settings
 from service.transport.admission import Admission, AdmissionLimits
 from service.transport.callers import Callers
 from service.transport.endpoints import Endpoints, HttpRequest
-from service.transport.fast_path import FastPath, Shortcut
+from service.transport.fast_path import FastPath, Shortcut, until_left
 from service.transport.keys import Grant, Keys, Scope
 from service.transport.problems import problem_response
 from service.transport.threads import ThreadPool
@@ -427,3 +430,57 @@ def test_a_request_names_its_caller(served: Served, tmp_path: Path, send: Send, 
     assert send(served[1], endpoints, keys, BODY, PLAIN | {"Authorization": f"Bearer {key}"}) == 200
     address = "address:192.0.2.1" if send is send_to_connection else "address:testclient"
     assert read.callers == ["key:robot" if guarded else address]
+
+
+class Line:
+    """Messages of a server to an application, the last of which never comes unless the client leaves."""
+
+    def __init__(self, *kinds: str) -> None:
+        self.kinds = list(kinds)
+
+    async def receive(self) -> dict[str, Any]:
+        """Return the next message, or wait for ever."""
+        if not self.kinds:
+            await asyncio.Event().wait()
+        return {"type": self.kinds.pop(0), "body": b"", "more_body": False}
+
+
+@pytest.mark.parametrize("kinds", [("http.disconnect",), ("http.request", "http.disconnect")])
+def test_work_is_cancelled_once_its_client_has_left(kinds: tuple[str, ...]) -> None:
+    """The server may repeat the end of the body before it tells that the client has left."""
+    ended: list[str] = []
+
+    async def work() -> Answer:
+        """Work without end, until it is cancelled."""
+        try:
+            await asyncio.Event().wait()
+        finally:
+            ended.append("cancelled")
+        return Answer(b"")
+
+    with pytest.raises(ClientDisconnect):
+        asyncio.run(until_left(work(), Line(*kinds).receive))
+    assert ended == ["cancelled"]
+
+
+@pytest.mark.parametrize("kinds", [(), ("http.request",) * 9])
+def test_an_answer_is_given_to_a_client_that_stays(kinds: tuple[str, ...]) -> None:
+    """A server that repeats the end of the body for ever does not hold the event loop."""
+
+    async def work() -> Answer:
+        """Answer after a few iterations of the event loop."""
+        await asyncio.sleep(0.01)
+        return Answer(b"done")
+
+    assert asyncio.run(until_left(work(), Line(*kinds).receive)).content == b"done"
+
+
+def test_a_refusal_of_long_work_is_raised() -> None:
+    """An error of the work is that of the request."""
+
+    async def work() -> Answer:
+        """Refuse."""
+        raise DeadlineError(1.0)
+
+    with pytest.raises(DeadlineError):
+        asyncio.run(until_left(work(), Line().receive))
