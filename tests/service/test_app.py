@@ -155,6 +155,7 @@ def test_every_background_task_is_supervised(faulty: tuple[Service, TestClient],
         "bulk/executors.py": {"ThreadPoolExecutor", "Thread"},  # of the command line
         "model/trial.py": {"Thread", "Timer"},  # end a process and collect its exit status
         "observability/log_writer.py": {"Thread"},  # the task log
+        "transport/fast_path.py": {"ensure_future"},  # an answer and the end of its client: both end with the request
         "transport/threads.py": {"ThreadPoolExecutor"},  # the work of requests
     }
 
