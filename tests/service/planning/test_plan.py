@@ -1,8 +1,6 @@
 """Plans: a box is brought to its goal, around obstacles, or the reason is given."""
 
 import itertools
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +15,7 @@ from service.planning.surroundings import Surroundings
 from service.pushing import mechanics
 from service.pushing.poses import DoubleArray, into_object_frame
 from service.turns import TURN
+from tests.late_turn import LateTurn
 from tests.service.planning.boxes import BOX, RADIUS_M, Mechanics, square
 
 ROOM = square(0.0, 0.0, 1.0)
@@ -170,30 +169,13 @@ def test_a_longer_budget_considers_more_pushes() -> None:
 
 def test_a_plan_that_is_no_longer_wanted_ends_at_its_next_pause() -> None:
     """Candidates, search, and particles all pause, so the job ends wherever it is."""
-
-    class Leaving:
-        """Turn whose job is no longer wanted after some pauses."""
-
-        def __init__(self, pauses: int) -> None:
-            self.left = pauses
-
-        def pause(self, needed_bytes: int) -> None:
-            """End the job once its pauses are over."""
-            self.left -= 1
-            if self.left < 0:
-                raise DeadlineError(1.0)
-
-        def ending(self, end: Callable[[], None]) -> AbstractContextManager[None]:
-            """Never end anything from another thread."""
-            return nullcontext()
-
-    all_pauses = Leaving(10_000)
+    all_pauses = LateTurn(10_000)
     token = TURN.set(all_pauses)
     try:
         planned(TASK)
         count = 10_000 - all_pauses.left
         for pauses in (0, count // 2, count - 1):
-            TURN.set(Leaving(pauses))
+            TURN.set(LateTurn(pauses))
             with pytest.raises(DeadlineError):
                 planned(TASK)
     finally:

@@ -1,8 +1,6 @@
 """Endpoints of planning: answered in a thread, and ended there when the answer is late or no longer wanted."""
 
 import json
-from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from service.schemas.shapes import OUTLINE_EXAMPLE
 from service.transport.endpoints import NO_PARAMETERS, Endpoint, HttpRequest, Weight
 from service.turns import TURN
 from tests.fakes import fake_models, publish_fake
+from tests.late_turn import LateTurn
 
 POSE = {"x": 0.4, "y": 0.1, "angle": 0.0}
 PUSH = {"x": 0.3, "y": 0.1, "angle": 0.0, "length": 0.05}
@@ -25,23 +24,6 @@ LONG: dict[str, Any] = {
     "/v1/push-map": {"context": BOX, "spacing": 0.0002, "angles": [0.0, 0.1, 0.2, 0.3]},
 }
 ENDPOINTS = [endpoint for endpoint in PLANNING_ENDPOINTS if endpoint.path in LONG]
-
-
-class Late:
-    """Turn of a job whose answer becomes late at one of its pauses."""
-
-    def __init__(self, pauses: int) -> None:
-        self.left = pauses
-
-    def pause(self, needed_bytes: int) -> None:
-        """Count a pause, and end the job at the last one."""
-        self.left -= 1
-        if self.left < 0:
-            raise DeadlineError(1.0)
-
-    def ending(self, end: Callable[[], None]) -> AbstractContextManager[None]:
-        """Never end the runtime in the middle of a call."""
-        return nullcontext()
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +53,7 @@ def test_a_question_is_never_answered_in_the_event_loop(models: Snapshot, endpoi
 def test_a_question_ends_at_the_pause_where_its_answer_is_late(models: Snapshot, endpoint: Endpoint[Any]) -> None:
     """The work stops in the middle, at whichever pause the deadline strikes or the client has left."""
     for pauses in (0, 1, 2):
-        token = TURN.set(Late(pauses))
+        token = TURN.set(LateTurn(pauses))
         try:
             with pytest.raises(DeadlineError):
                 endpoint.answer(models, request(endpoint.path))
