@@ -22,6 +22,7 @@ BOX = {"outline": OUTLINE_EXAMPLE}
 LONG: dict[str, Any] = {
     "/v1/rollout": {"context": BOX, "object_pose": POSE, "pushes": [PUSH] * 50},
     "/v1/push-map": {"context": BOX, "spacing": 0.0002, "angles": [0.0, 0.1, 0.2, 0.3]},
+    "/v1/contexts/refine": {"context": BOX, "pushers": [[-0.1, 0.0, 0.0]] * 50, "outcomes": [[0.02, 0.0, 0.0]] * 50},
 }
 ENDPOINTS = [endpoint for endpoint in PLANNING_ENDPOINTS if endpoint.path in LONG]
 
